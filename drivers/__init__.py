@@ -1,0 +1,1 @@
+"""Hardware drivers: generators, digitisers, triggers, and their simulated and replayed counterparts."""

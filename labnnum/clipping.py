@@ -1,0 +1,130 @@
+"""Clipping found in the samples alone, where no instrument reported it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FLATNESS = 3.0
+"""How many times more samples the outermost level must hold than the next three inwards.
+
+A smooth peak, a parabola at its top, holds as many in both; one of fourth order 2.4 times as many."""
+
+PAIRS = 6
+"""Samples at the rail up to which two in a row count: more pairs are a signal sampled in step with its period."""
+
+AT_RAIL = 0.995
+"""Share of a known full scale from which a sample counts as overloaded."""
+
+
+def clipped_runs(signal: ArrayLike, full_scale: float | None = None) -> list[tuple[int, int]]:
+    r"""Sample ranges (start, stop) in which a signal is clipped; an empty list if it is not.
+
+    Parameters
+    ----------
+    signal : array_like, shape (n,)
+    full_scale : float, optional
+        Known end of range, in the signal's unit; every sample within 0.5 % of it counts. Without it a signal
+        counts as clipped where its outermost level is a plateau: at least three samples in a row at the very
+        same value (two, if the signal is finely resolved and noisy elsewhere), and far more samples at that level
+        than a smooth peak leaves there. The same is tried with levels as wide as the noise, for signals that
+        were clipped before noise was added.
+
+    Notes
+    -----
+    Near the top of a smooth peak as much time is spent between levels d and 4d below the top as above d. Of a peak
+    cut off by L the plateau holds about 2L/3d times the samples of the next three levels of height d.
+
+    Examples
+    --------
+    >>> t = np.arange(1000) / 1000
+    >>> clipped_runs(np.sin(2 * np.pi * 5 * t))
+    []
+    >>> len(clipped_runs(np.clip(np.sin(2 * np.pi * 5 * t), -0.9, 2)))
+    5
+    """
+    x = np.asarray(signal, float)
+    if full_scale is not None:
+        return runs(np.abs(x) >= AT_RAIL * abs(full_scale))
+    if x.size < 4 or not np.isfinite(x).all() or np.ptp(x) == 0:
+        return []
+    centred = x - np.median(x)
+    largest = np.abs(centred).max()
+    step, noise = resolution(x), noise_level(x)
+    found: list[tuple[int, int]] = []
+    for side in (centred, -centred):
+        if side.max() < 0.3 * largest:
+            continue
+        held = _exact_plateau(side, step, noise)
+        if held is None:
+            held = _noisy_plateau(side, step, noise)
+        if held is not None:
+            found += runs(held)
+    return sorted(found)
+
+
+def _exact_plateau(side: NDArray, step: float, noise: float) -> NDArray | None:
+    """Samples at the outermost value, if they form a plateau."""
+    top = side.max()
+    slack = 1e-9 * np.abs(side).max() + 0.25 * min(step, 1e-6 * top)
+    held = side >= top - slack
+    longest = max(b - a for a, b in runs(held))
+    fine = step < 1e-4 * top and noise > 4 * step and np.count_nonzero(held) <= PAIRS
+    if longest < 2 or (longest == 2 and not fine):
+        return None
+    below = np.count_nonzero((side < top - slack) & (side >= top - slack - 3 * step))
+    return held if np.count_nonzero(held) > FLATNESS * below else None
+
+
+def _noisy_plateau(side: NDArray, step: float, noise: float) -> NDArray | None:
+    """Samples within the noise of the outermost value, if they form a plateau that ends abruptly."""
+    width = 6 * max(noise, step)
+    top = side.max()
+    if not 0 < width < 0.1 * top:
+        return None
+    held = side >= top - width
+    count = np.count_nonzero(held)
+    below = np.count_nonzero((side < top - width) & (side >= top - 4 * width))
+    longest = max(b - a for a, b in runs(held))
+    return held if longest >= 5 and count > FLATNESS * below + 8 else None
+
+
+def runs(mask: ArrayLike) -> list[tuple[int, int]]:
+    """Ranges (start, stop) of consecutive True values.
+
+    Examples
+    --------
+    >>> runs([0, 1, 1, 0, 1])
+    [(1, 3), (4, 5)]
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(mask, bool), [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def resolution(signal: NDArray) -> float:
+    """Smallest difference between two values of a signal: the converter's step, if it shows; of eight bits at most."""
+    gaps = np.diff(np.unique(signal))
+    gaps = gaps[gaps > 1e-12 * np.abs(signal).max()]
+    return min(float(gaps.min()), float(np.ptp(signal)) / 250) if gaps.size else 0.0
+
+
+def noise_level(signal: NDArray) -> float:
+    r"""Standard deviation of the white noise in a signal, from the quietest quarter of its differences.
+
+    Notes
+    -----
+    The difference of order p of white noise has variance C(2p, p) sigma^2. Orders 3 and 6 are taken, each over blocks
+    of 64 samples, ranked, and the smaller result: what is left of a smooth signal shrinks with the order.
+    """
+    return min(_difference_noise(signal, order) for order in (3, 6))
+
+
+def _difference_noise(signal: NDArray, order: int) -> float:
+    gain = float(np.sqrt(math.comb(2 * order, order)))
+    rough = np.diff(signal, order)
+    if rough.size < 256:
+        return float(np.median(np.abs(rough)) / (0.6745 * gain)) if rough.size else 0.0
+    power = np.mean(rough[: rough.size // 64 * 64].reshape(-1, 64) ** 2, axis=1)
+    return float(np.sqrt(np.quantile(power, 0.25)) / gain)

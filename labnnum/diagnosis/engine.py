@@ -1,0 +1,614 @@
+"""Fast, exact responses of a structure with terms added to it, and their derivatives.
+
+The structure is taken to the modes of its nominal matrices; at each parameter value a small eigenproblem gives the
+modes there. Modal damping is free, one ratio a mode. A term that acts on few motions enters through the receptances
+at those motions (Sherman-Morrison-Woodbury), so that a trial costs no factorisation. Everything is evaluated at
+complex s, so that exponential windows and broadened resonances need no code of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.errors import ModelError
+from labnnum.frf import MOTION_ORDER
+from labnnum.mechanisms.base import ChannelMechanism, Site, Term
+from labnnum.recording import Channel
+from labnnum.structures.base import Structure
+
+REACH = 2.5
+"""Modes up to so many times the band are kept; those above enter quasi-statically."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The structure's modes at one parameter value.
+
+    `omega` (m,) in rad/s; `out` (m, n_out), `load` (m, n_in) modal participations of sensors and inputs; `span` (n, m)
+    shapes; per parameter the derivatives of log frequency `d_log` (n_par, m), of the shapes as a mix of the shapes
+    `mix` (n_par, m, m), of the loads `d_load` (n_par, m, n_in) and of the sensors `d_out` (n_par, m, n_out).
+    """
+
+    theta: NDArray
+    omega: NDArray
+    shape: NDArray
+    out: NDArray
+    load: NDArray
+    d_log: NDArray
+    mix: NDArray
+    d_load: NDArray
+    d_out: NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Everything that may vary in a fit: parameters of the structure, of the terms, and of each band mode."""
+
+    theta: NDArray
+    terms: NDArray
+    shift: NDArray
+    """Relative offset of each band mode's frequency, (m_b,)."""
+    log_zeta: NDArray
+    """Logarithm of each band mode's damping ratio, (m_b,)."""
+    size: NDArray
+    """Offset of each band mode's load, relative to a typical one, (m_b,)."""
+    law: NDArray
+    """Share of the modal damping that is hysteretic rather than viscous, (1,), 0 to 1."""
+
+    def vector(self) -> NDArray:
+        """All in one vector, in the order above."""
+        return np.concatenate([self.theta, self.terms, self.shift, self.log_zeta, self.size, self.law])
+
+    def with_vector(self, x: NDArray) -> Point:
+        """The point that `x` describes, lengths as here."""
+        cuts = np.cumsum([self.theta.size, self.terms.size, self.shift.size, self.log_zeta.size, self.size.size])
+        return Point(*np.split(x, cuts))
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """FRFs (n_out, n_in, n_f) with, where asked for, derivatives and the modal motions that shape errors scale."""
+
+    value: NDArray
+    jacobian: NDArray | None = None
+    """(n_x, n_out, n_in, n_f), in the order of `Point.vector`."""
+    modal: NDArray | None = None
+    """(m_b, n_in, n_f): response of each band mode."""
+    modal_out: NDArray | None = None
+    """(m_b, n_out, n_f)."""
+    lift: NDArray | None = None
+    """(n_out, n_in, n_f): factor from displacement to what each channel reads."""
+    rest: NDArray | None = None
+    """(n_out, n_in, n_f): displacement that modes outside the band contribute."""
+
+
+class Engine:
+    """Responses of `structure` at `outputs` to `inputs` up to `omega_max`, with any terms added."""
+
+    def __init__(
+        self, structure: Structure, outputs: Sequence[Channel], inputs: Sequence[Channel], band: tuple[float, float]
+    ) -> None:
+        self.structure = structure
+        self.outputs, self.inputs = tuple(outputs), tuple(inputs)
+        self.band = band
+        self.theta0 = structure.nominal
+        m = structure.matrices(self.theta0)
+        self._basis(np.real(m.M), np.real(m.K))
+        self.is_base = any(c.role == "base" for c in self.inputs)
+        if self.is_base and len(self.inputs) > 1:
+            raise ModelError("base motion and force at the same time are not supported: import them as separate runs")
+        self._cache: dict[bytes, State] = {}
+        self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
+        self.sign_out = np.array([c.sign for c in self.outputs])
+        self.sign_in = np.array([c.sign for c in self.inputs])
+        first = self.state(self.theta0)
+        low, high = band
+        self.keep = first.omega.size
+        self.rigid_modes = int(np.count_nonzero(first.omega < 1e-6 * max(first.omega.max(), 1e-300)))
+        inside = (first.omega > 0.6 * low) & (first.omega < 1.1 * high)
+        inside[: self.rigid_modes] = False
+        if not inside.any():
+            inside[self.rigid_modes : self.rigid_modes + 1] = True
+        self.band_modes = np.flatnonzero(inside)
+        self.zeta0 = self._damping(first)
+        self._sizes(first)
+
+    def _sizes(self, first: State) -> None:
+        """Typical motion of each band mode, (m_b,), and of its load: what errors are relative to."""
+        b = self.band_modes
+        kinds = {c.dof.split(":")[1][0] == "r" for c in self.outputs}
+        rows = [d for d in self.structure.dofs if (d.split(":")[1][0] == "r") in kinds]
+        moved = np.array([self.participation(d, self.theta0) for d in rows]) @ first.shape[:, b]
+        self.typical = np.sqrt(np.mean(moved**2, axis=0))
+        if self.is_base:
+            total = float(np.sqrt(np.mean(first.load[b] ** 2)))
+            self.load_typical = np.maximum(np.abs(first.load[b]).max(axis=1), 0.3 * total)
+        else:
+            self.load_typical = np.maximum(self.typical, np.abs(first.load[b]).max(axis=1))
+
+    def _basis(self, mass: NDArray, stiffness: NDArray) -> None:
+        from scipy.linalg import LinAlgError, eigh
+
+        n = mass.shape[0]
+        try:
+            value, vector = eigh(stiffness, mass)
+        except LinAlgError:
+            raise ModelError("the model's mass matrix is not positive definite at the nominal parameters") from None
+        if value.min() < -1e-6 * value.max():
+            raise ModelError("the model's stiffness matrix is not positive semidefinite at the nominal parameters")
+        omega = np.sqrt(np.maximum(value, 0))
+        inside = int(np.count_nonzero(omega < REACH * self.band[1]))
+        use = min(n, max(inside + 3, 12))
+        self.basis = vector[:, :use]
+        high = vector[:, use:] / np.where(omega[use:] > 0, omega[use:], np.inf)
+        self.high = high  # columns phi / omega: static remainder is high @ high.T
+        self.high_omega = omega[use:]
+
+    def _damping(self, first: State) -> NDArray[np.float64]:
+        m = self.structure.matrices(self.theta0)
+        c = np.einsum("nm,nk,km->m", first.shape, np.real(m.C), first.shape)
+        d = np.einsum("nm,nk,km->m", first.shape, np.real(m.D), first.shape)
+        w = np.where(first.omega > 0, first.omega, np.inf)
+        return np.clip(c / (2 * w) + d / (2 * w**2), 1e-5, 0.9)
+
+    # ---------------------------------------------------------------- states
+
+    def state(self, theta: NDArray) -> State:
+        """Modes and projections at `theta` (the last few are remembered)."""
+        key = np.asarray(theta, float).tobytes()
+        if key not in self._cache:
+            if len(self._cache) > 24:
+                self._cache.pop(next(iter(self._cache)))
+            self._cache[key] = self._state(np.asarray(theta, float))
+        return self._cache[key]
+
+    def _state(self, theta: NDArray) -> State:
+        from scipy.linalg import LinAlgError, eigh
+
+        v = self.basis
+        m = self.structure.matrices(theta)
+        try:
+            value, q = eigh(v.T @ np.real(m.K) @ v, v.T @ np.real(m.M) @ v)
+        except LinAlgError:
+            raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}") from None
+        shape = v @ q
+        shape = shape * np.where(shape[np.abs(shape).argmax(axis=0), np.arange(shape.shape[1])] < 0, -1.0, 1.0)
+        out = np.array([self.participation(c.dof, theta) for c in self.outputs]) @ shape
+        d = self.structure.derivatives(theta)
+        omega = np.sqrt(np.maximum(value, 0))
+        mixed = [_mode_derivatives(shape.T @ x.K @ shape, shape.T @ x.M @ shape, value) for x in d]
+        d_log = np.array([a for a, _ in mixed]).reshape(len(d), omega.size)
+        mix = np.array([b for _, b in mixed]).reshape(len(d), omega.size, omega.size)
+        n_par = len(d)
+        if self.is_base:
+            r = np.real(self.structure.rigid(theta))
+            load = -(shape.T @ (np.real(m.M) @ r))[:, None]
+            d_load = np.array([-(shape.T @ (x.M @ r))[:, None] for x in d]).reshape(n_par, -1, 1)
+        else:
+            load = (np.array([self.participation(c.dof, theta) for c in self.inputs]) @ shape).T
+            d_load = np.array([self.structure.participation_derivatives(c.dof, theta) @ shape for c in self.inputs])
+            d_load = np.moveaxis(d_load, 0, 2)
+        d_out = np.array([self.structure.participation_derivatives(c.dof, theta) @ shape for c in self.outputs])
+        d_out = np.moveaxis(d_out, 0, 2)
+        turn = np.moveaxis(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
+        return State(theta, omega, shape, out.T, load, d_log, mix, d_load + turn @ load, d_out + turn @ out.T)
+
+    def participation(self, dof: str, theta: NDArray) -> NDArray[np.float64]:
+        """Row of the structure's participation, real."""
+        return np.real(self.structure.participation(dof, theta))
+
+    def start(self, terms: Sequence[Term] = (), p: Sequence[float] | NDArray = ()) -> Point:
+        """The nominal point, with the terms' parameters `p` (zero where not given)."""
+        n = sum(t.n for t in terms)
+        p = np.asarray(p, float) if len(p) else np.zeros(n)
+        m = self.band_modes.size
+        return Point(self.theta0.copy(), p, np.zeros(m), np.log(self.zeta0[self.band_modes]), np.zeros(m), np.zeros(1))
+
+    def site(self, free_nodes: Sequence[str], elements: Sequence[tuple[str, str]], supports: Sequence[str]) -> Site:
+        """What mechanisms need to know, at the nominal parameters."""
+        m = self.structure.matrices(self.theta0)
+        first = self.state(self.theta0)
+        rigid = np.real(self.structure.rigid(self.theta0)) if self.is_base else None
+        dofs = {d: self.participation(d, self.theta0) for d in self.structure.dofs}
+        drive = () if self.is_base else tuple(dict.fromkeys(c.dof for c in self.inputs))
+        for dof in drive:
+            dofs.setdefault(dof, self.participation(dof, self.theta0))
+        return Site(
+            np.real(m.M), np.real(m.K), dofs, dict(self.structure.nodes), tuple(free_nodes), tuple(elements),
+            tuple(supports), self.outputs + self.inputs, len(self.outputs), first.omega[self.band_modes],
+            first.shape[:, self.band_modes], rigid, drive,
+        )  # fmt: skip
+
+    # ---------------------------------------------------------------- responses
+
+    def response(
+        self, point: Point, terms: Sequence[Term], s: NDArray, *, jacobian: bool = False, modal: bool = False
+    ) -> Response:
+        """FRFs at complex frequencies `s` (n_f,), in each channel's quantity and sign."""
+        return _Evaluation(self, point, terms, s).run(jacobian, modal or jacobian)
+
+
+class _Evaluation:
+    """One evaluation: the steps share what they compute."""
+
+    def __init__(self, engine: Engine, point: Point, terms: Sequence[Term], s: NDArray) -> None:
+        self.e, self.point, self.s = engine, point, s
+        self.acting = [(t, self._slice(terms, i)) for i, t in enumerate(terms) if t.groups]
+        self.others = [(t, self._slice(terms, i)) for i, t in enumerate(terms) if not t.groups]
+        self.n_terms = point.terms.size
+        self.state = engine.state(point.theta)
+        self._modes()
+        self._points()
+
+    @staticmethod
+    def _slice(terms: Sequence[Term], i: int) -> slice:
+        first = sum(t.n for t in terms[:i])
+        return slice(first, first + terms[i].n)
+
+    def _modes(self) -> None:
+        e, st, b = self.e, self.state, self.e.band_modes
+        self.base_omega = st.omega
+        omega = st.omega.copy()
+        self.shear = [(t, c) for t, c in self.others if t.data.get("shear")]
+        for _, c in self.shear:
+            omega = omega / np.sqrt(1 + 2 * self.point.terms[c][0] * omega)
+        omega[b] = omega[b] * (1 + self.point.shift)
+        zeta = e.zeta0[: omega.size].copy()
+        common = np.mean(self.point.log_zeta - np.log(zeta[b]))
+        self.outside = np.setdiff1d(np.arange(omega.size), b)
+        zeta[self.outside] = np.minimum(zeta[self.outside] * np.exp(common), 0.95)  # a guess follows the fitted ones
+        zeta[b] = np.exp(self.point.log_zeta)
+        self.omega, self.zeta = omega, zeta
+        s = self.s
+        h = float(self.point.law[0])
+        rate = (1 - h) * s + 1j * h * omega[
+            :, None
+        ]  # what the damping acts on: velocity, or displacement at a right angle
+        self.rate = rate
+        self.d = 1.0 / (omega[:, None] ** 2 + 2 * (zeta * omega)[:, None] * rate + s**2)
+        self.load = st.load.copy()
+        self.load[b] += (self.point.size * e.load_typical)[:, None]
+
+    def _points(self) -> None:
+        """Attachment motions of all acting terms."""
+        e, st, s = self.e, self.state, self.s
+        self.w = self.w_high = np.zeros((0, 0))
+        if not self.acting:
+            return
+        columns = np.hstack([t.columns for t, _ in self.acting])
+        self.w = columns.T @ st.shape  # (k, m)
+        self.w_high = columns.T @ e.high  # (k, h)
+        self.g = np.zeros((columns.shape[1], columns.shape[1], s.size), complex)
+        at = 0
+        for t, c in self.acting:
+            self.g[at : at + t.width, at : at + t.width] = t.stiffness(s, self.point.terms[c])
+            at += t.width
+        self.inertial = np.concatenate([t.inertial for t, _ in self.acting])
+        self.rigid = columns.T @ np.real(e.structure.rigid(st.theta)) if e.is_base else np.zeros(columns.shape[1])
+
+    def _remainder(self, left: NDArray, right: NDArray) -> NDArray:
+        """Quasi-static share of the modes above the basis: (l, h) x (r, h) -> (l, r, n_f)."""
+        static = left @ right.T
+        slope = (left / np.where(self.e.high_omega > 0, self.e.high_omega, np.inf) ** 2) @ right.T
+        return static[:, :, None] - slope[:, :, None] * self.s**2
+
+    def _high(self, dofs: Sequence[str]) -> NDArray:
+        rows = [self.e.participation(d, self.state.theta) for d in dofs]
+        return np.array(rows) @ self.e.high
+
+    def run(self, jacobian: bool, modal: bool) -> Response:
+        e, st, s = self.e, self.state, self.s
+        x, q, out_high = self._bare()
+        p_out = st.out[:, :, None] * self.d[:, None, :]  # (m, o, f)
+        z_in = z_out = None
+        if self.acting:
+            q, x, p_out, z_in, z_out = self._couple(q, x, p_out, out_high)
+        if e.is_base:
+            x = x + (self._sensor_rigid()[:, None] / s**2)[:, None, :]
+        extra = self._extra(x)
+        lift = self._lift()
+        chain = self._chain()
+        value = x * lift * chain
+        value, swap = self._swap(value)
+        jac = None
+        if jacobian:
+            jac = self._jacobian(q, p_out, z_in, z_out, extra) * (lift * chain)[None]
+            self._chain_jacobian(jac, x * lift)
+            jac = np.stack([swap(j) for j in jac])
+        if not modal:
+            return Response(value)
+        b = e.band_modes
+        outside = self.outside
+        rest = _dot(st.out[outside].T, self.d[outside][:, None] * self.load[outside][:, :, None])
+        return Response(value, jac, q[b], p_out[b], lift * chain, rest)
+
+    def ingredients(self, own: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """For the last `own` columns of motion, with the columns before them coupled: x (o, i, f), and the
+        receptances h (o, k, f), z (k, i, f), G (k, k, f) through which those last columns couple.
+        """
+        x, q, out_high = self._bare()
+        h0, z0, gw, _ = self._receptances(q, out_high)
+        held = gw.shape[0] - own
+        if held:
+            g = self.g[:held, :held]
+            inner = _across(gw[:held, :held], g)
+            a = _solve(inner, z0[:held])  # motions with what is held
+            b = _solve(inner, gw[:held, held:])
+            ga, gb = _across(g, a), _across(g, b)
+            x = x - _across(h0[:, :held], ga)
+            z = z0[held:] - _across(gw[held:, :held], ga)
+            h = h0[:, held:] - _across(h0[:, :held], gb)
+            gw = gw[held:, held:] - _across(gw[held:, :held], gb)
+        else:
+            z, h = z0, h0
+        if self.e.is_base:
+            x = x + (self._sensor_rigid()[:, None] / self.s**2)[:, None, :]
+        self._extra(x)
+        return x, h, z, gw
+
+    def to_channels(self, x: NDArray) -> NDArray:
+        """Displacements (n, o, i, f) to what the channels read."""
+        value = x * (self._lift() * self._chain())[None]
+        return np.stack([self._swap(v)[0] for v in value])
+
+    def _bare(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Displacements x (o, i, f), modal motions q (m, i, f) and the sensors' shares of the high modes."""
+        e = self.e
+        q = self.d[:, None, :] * self.load[:, :, None]
+        x = _dot(self.state.out.T, q)
+        out_high = self._high([c.dof for c in e.outputs])
+        if e.high.shape[1] and not e.is_base:
+            x = x + self._remainder(out_high, self._high([c.dof for c in e.inputs]))
+        elif e.high.shape[1]:
+            x = x + self._remainder(out_high, self._base_high()[None])
+        return x, q, out_high
+
+    def _lift(self) -> NDArray:
+        """Factor from displacement per force (or per base acceleration) to what the channels read, (o, i, f)."""
+        e, s = self.e, self.s
+        lift = (e.sign_out[:, None, None] * s[None, None, :] ** e.rise[:, None, None]) / e.sign_in[None, :, None]
+        return lift * s ** (2 - MOTION_ORDER[e.inputs[0].quantity]) if e.is_base else lift
+
+    def _receptances(self, q: NDArray, out_high: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """h0 (o, k, f), z0 (k, i, f), G (k, k, f) at the terms' motions, and D wᵀ (m, k, f)."""
+        dw = self.w.T[:, :, None] * self.d[:, None, :]
+        gw, z0, h0 = _dot(self.w, dw), _dot(self.w, q), _dot(self.state.out.T, dw)
+        if self.e.high.shape[1]:
+            gw = gw + self._remainder(self.w_high, self.w_high)
+            h0 = h0 + self._remainder(out_high, self.w_high)
+            right = self._base_high()[None] if self.e.is_base else self._high([c.dof for c in self.e.inputs])
+            z0 = z0 + self._remainder(self.w_high, right)
+        if self.e.is_base:
+            z0 = z0 + ((self.rigid * self.inertial)[:, None] / self.s**2)[:, None, :]
+        return h0, z0, gw, dw
+
+    def _base_high(self) -> NDArray:
+        m = self.e.structure.matrices(self.state.theta)
+        r = np.real(self.e.structure.rigid(self.state.theta))
+        return -(np.real(m.M) @ r) @ self.e.high
+
+    def _sensor_rigid(self) -> NDArray:
+        r = np.real(self.e.structure.rigid(self.state.theta))
+        return np.array([self.e.participation(c.dof, self.state.theta) @ r for c in self.e.outputs])
+
+    def _couple(self, q: NDArray, x: NDArray, p_out: NDArray, out_high: NDArray) -> tuple[NDArray, ...]:
+        """Add the acting terms: motion z there solves (I + G g) z = z0, the force is -g z."""
+        h0, z0, gw, dw = self._receptances(q, out_high)
+        loop = _across(gw, self.g)
+        a = _solve(loop, z0)  # (k, i, f)
+        force = -_across(self.g, a)
+        x = x + _across(h0, force)
+        q = q + _across(dw, force)
+        z_out = _solve(loop, np.moveaxis(h0, 0, 1))  # (k, o, f)
+        p_out = p_out - _across(dw, _across(self.g, z_out))
+        return q, x, p_out, a, z_out
+
+    # ---------------------------------------------------------------- modal terms
+
+    def _extra(self, x: NDArray) -> list[tuple[slice, NDArray, NDArray, NDArray]]:
+        """Add modes that the structure lacks; returns what their derivatives need."""
+        out = []
+        for term, c in self.others:
+            if not term.data.get("extra_mode"):
+                continue
+            p = self.point.terms[c]
+            w = 2 * np.pi * p[0]
+            d = 1.0 / (w**2 + 2 * p[1] * w * self.s + self.s**2)
+            x += (p[2:, None] * d)[:, None, :]
+            out.append((c, p, d, self.s))
+        return out
+
+    def _swap(self, value: NDArray):
+        order = np.arange(value.shape[0])
+        sign = np.ones(value.shape[0])
+        whole = 1.0
+        for term, _ in self.others:
+            if "swap" in term.data:
+                a, b = term.data["swap"]
+                order[[a, b]] = order[[b, a]]
+            elif "invert" in term.data:
+                i = term.data["invert"]
+                if i < value.shape[0]:
+                    sign[i] = -sign[i]
+                else:
+                    whole = -whole
+
+        def swap(v: NDArray) -> NDArray:
+            return whole * sign[:, None, None] * v[order]
+
+        return swap(value), swap
+
+    def _chain(self) -> NDArray:
+        e = self.e
+        out = np.ones((len(e.outputs), len(e.inputs), self.s.size), complex)
+        for term, c in self.others:
+            if isinstance(term.mechanism, ChannelMechanism):
+                f = term.mechanism.factor(self.s, self.point.terms[c])
+                i = term.data["channel"]
+                if i < len(e.outputs):
+                    out[i] *= f
+                else:
+                    out[:, i - len(e.outputs)] /= f
+        return out
+
+    def _chain_jacobian(self, jac: NDArray, value: NDArray) -> None:
+        """Channel terms: y f, so dy = y f' (an input's factor divides)."""
+        e, n_t = self.e, self.point.theta.size
+        chain = self._chain()
+        for term, c in self.others:
+            if not isinstance(term.mechanism, ChannelMechanism):
+                continue
+            p = self.point.terms[c]
+            ratio = term.mechanism.factor_derivative(self.s, p) / term.mechanism.factor(self.s, p)
+            i = term.data["channel"]
+            rows = slice(n_t + c.start, n_t + c.stop)
+            if i < len(e.outputs):
+                jac[rows, i] = value[i] * chain[i] * ratio[:, None, :]
+            else:
+                j = i - len(e.outputs)
+                jac[rows, :, j] = -(value[:, j] * chain[:, j])[None] * ratio[:, None, :]
+
+    # ---------------------------------------------------------------- derivatives
+
+    def _shear_share(self) -> NDArray:
+        """Derivative of the logarithm of the frequencies to that of the structure's own, (m,)."""
+        out = np.ones(self.base_omega.size)
+        omega = self.base_omega
+        for _, c in self.shear:
+            t = self.point.terms[c][0]
+            out = out * (1 - t * omega / (1 + 2 * t * omega))
+            omega = omega / np.sqrt(1 + 2 * t * omega)
+        return out
+
+    def _jacobian(
+        self, q: NDArray, p_out: NDArray, z_in: NDArray | None, z_out: NDArray | None,
+        extra: list[tuple[slice, NDArray, NDArray, NDArray]],
+    ) -> NDArray:  # fmt: skip
+        e, st, s, b = self.e, self.state, self.s, self.e.band_modes
+        n_t, m_b = self.point.theta.size, b.size
+        n_o, n_i, n_f = len(e.outputs), len(e.inputs), s.size
+        jac = np.zeros((n_t + self.n_terms + 3 * m_b + 1, n_o, n_i, n_f), complex)
+        for j in range(n_t):
+            slope = st.d_log[j] * self._shear_share()
+            w, z = self.omega, self.zeta
+            h = float(self.point.law[0])
+            stiffer = slope[:, None] * ((2 * w**2)[:, None] + (2 * z * w)[:, None] * (self.rate + 1j * h * w[:, None]))
+            push = st.d_load[j][:, :, None] - stiffer[:, None] * q
+            if z_in is not None and z_out is not None:
+                turned = self.w @ st.mix[j]  # derivative of the terms' motions, (k, m)
+                push = push - _dot(turned.T, _across(self.g, z_in))
+            jac[j] = np.einsum("mof,mif->oif", p_out, push) + _dot(st.d_out[j].T, q)
+            if z_in is not None and z_out is not None:
+                jac[j] -= _across(np.moveaxis(z_out, 0, 1), _across(self.g, _dot(turned, q)))
+        for i, (term, c) in enumerate(self.acting):
+            first = sum(t.columns.shape[1] for t, _ in self.acting[:i])
+            last = first + term.columns.shape[1]
+            d = term.stiffness_derivative(s, self.point.terms[c])
+            for k in range(term.n):
+                assert z_in is not None
+                assert z_out is not None
+                pushed = _across(d[k], z_in[first:last])
+                jac[n_t + c.start + k] = -_across(np.moveaxis(z_out[first:last], 0, 1), pushed)
+        for c, p, d, sx in extra:
+            w, at = 2 * np.pi * p[0], n_t + c.start
+            shape = p[2:, None]
+            jac[at] += (-shape * d**2 * (2 * w + 2 * p[1] * sx) * 2 * np.pi)[:, None, :]
+            jac[at + 1] += (-shape * d**2 * 2 * w * sx)[:, None, :]
+            for o in range(n_o):
+                jac[at + 2 + o, o] += d
+        pair = p_out[b][:, :, None, :] * q[b][:, None, :, :]  # (m_b, o, i, f)
+        w, z = self.omega[b], self.zeta[b]
+        at = n_t + self.n_terms
+        h = float(self.point.law[0])
+        slope = (2 * w**2)[:, None] + (2 * z * w)[:, None] * (self.rate[b] + 1j * h * w[:, None])
+        jac[at : at + m_b] = -pair * (slope / (1 + self.point.shift)[:, None])[:, None, None, :]
+        jac[at + m_b : at + 2 * m_b] = -pair * ((2 * z * w)[:, None] * self.rate[b])[:, None, None, :]
+        o = self.outside
+        follow = (2 * self.zeta[o] * self.omega[o])[:, None] * self.rate[o]
+        jac[at + m_b : at + 2 * m_b] -= np.einsum("mof,mif->oif", p_out[o], follow[:, None] * q[o]) / m_b
+        jac[at + 2 * m_b : at + 3 * m_b] = p_out[b][:, :, None, :] * e.load_typical[:, None, None, None]
+        swing = 2 * (self.zeta * self.omega)[:, None] * (1j * self.omega[:, None] - s)
+        jac[-1] = -np.einsum("mof,mif->oif", p_out, swing[:, None] * q)
+        for _, c in self.shear:
+            t = self.point.terms[c][0]
+            slope = -self.omega * self.base_omega / (1 + 2 * t * self.base_omega)  # d omega / d t
+            change = (2 * self.omega * slope)[:, None] + (2 * self.zeta * slope)[:, None] * (
+                self.rate + 1j * h * self.omega[:, None]
+            )
+            jac[n_t + c.start] -= np.einsum("mof,mif->oif", p_out, change[:, None] * q)
+        return jac
+
+
+def _mode_derivatives(stiff: NDArray, mass: NDArray, value: NDArray) -> tuple[NDArray, NDArray]:
+    """Derivatives of log frequency (m,), and of shapes as a mix of shapes (m, m): d shape = shape @ mix.
+
+    Fox and Kapoor (1968), equations 8 and 14. Between modes closer than rounding the mix is left out: it turns the
+    pair within its own plane.
+    """
+    safe = np.maximum(value, 1e-10 * value.max())
+    d_log = np.where(value > 1e-10 * value.max(), (np.diag(stiff) - value * np.diag(mass)) / (2 * safe), 0.0)
+    gap = value[None, :] - value[:, None]  # lambda_r - lambda_s for column r, row s
+    apart = np.abs(gap) > 1e-9 * np.maximum(value[None, :], 1e-3 * value.max())
+    mix = np.where(apart, (stiff - value[None, :] * mass) / np.where(apart, gap, 1.0), 0.0)
+    np.fill_diagonal(mix, -np.diag(mass) / 2)
+    return d_log, mix
+
+
+def _dot(a: NDArray, b: NDArray) -> NDArray:
+    """Sum over m of a (r, m) and b (m, ...): (r, ...), by one matrix product."""
+    return (a @ b.reshape(b.shape[0], int(np.prod(b.shape[1:])))).reshape(a.shape[0], *b.shape[1:])
+
+
+def _across(a: NDArray, b: NDArray) -> NDArray:
+    """Sum over k of a (r, k, f) and b (k, c, f): (r, c, f); k is small."""
+    out = a[:, 0, None] * b[0]
+    for k in range(1, b.shape[0]):
+        out += a[:, k, None] * b[k]
+    return out
+
+
+def _solve(a: NDArray, rhs: NDArray) -> NDArray:
+    """(I + a) x = rhs for each line: a (k, k, n_f), rhs (k, r, n_f)."""
+    k = a.shape[0]
+    if k == 1:
+        return rhs / (1 + a[0, 0])
+    if k == 2:
+        p, q, r, t = 1 + a[0, 0], a[0, 1], a[1, 0], 1 + a[1, 1]
+        det = p * t - q * r
+        return np.stack([(t * rhs[0] - q * rhs[1]) / det, (p * rhs[1] - r * rhs[0]) / det])
+    full = np.moveaxis(a, 2, 0) + np.eye(k)
+    return np.moveaxis(np.linalg.solve(full, np.moveaxis(rhs, 2, 0)), 0, 2)
+
+
+def sweep(
+    engine: Engine, point: Point, term: Term, starts: NDArray, s: NDArray, held: Sequence[Term] = ()
+) -> NDArray[np.complex128]:
+    """FRFs with `term` at each of `starts` (n_starts, n_parameters) added: shape (n_starts, n_out, n_in, n_f).
+
+    `point` is of the model with the terms `held`. What does not depend on the new term is computed once.
+    """
+    terms = [*held, term]
+
+    def at(p: NDArray) -> Point:
+        both = np.concatenate([point.terms, np.asarray(p, float)])
+        return replace(point, terms=both)
+
+    k = term.columns.shape[1] if term.groups else 0
+    if k == 0:
+        return np.stack([engine.response(at(p), terms, s).value for p in starts])
+    one = _Evaluation(engine, at(np.zeros(term.n)), terms, s)
+    x, h, z, gw = one.ingredients(k)
+    g = np.array([term.stiffness(s, p) for p in starts])  # (n, k, k, f)
+    if k == 1:
+        factor = -g[:, 0, 0] / (1 + gw[0, 0] * g[:, 0, 0])
+        change = factor[:, None, None, :] * (h[:, 0][:, None, :] * z[0][None])[None]
+    else:
+        loop = np.matmul(np.moveaxis(gw, 2, 0), np.moveaxis(g, 3, 1)) + np.eye(k)  # (n, f, k, k)
+        motion = np.linalg.solve(loop, np.broadcast_to(np.moveaxis(z, 2, 0), (*loop.shape[:3], z.shape[1])))
+        force = np.moveaxis(np.matmul(np.moveaxis(g, 3, 1), motion), 1, 3)  # (n, k, i, f)
+        change = -sum(h[:, c][None, :, None] * force[:, c][:, None] for c in range(k))
+    return one.to_channels(x[None] + change)

@@ -1,0 +1,283 @@
+"""Maximum a posteriori fit of a structure with terms, allowing the ordinary errors that any model has.
+
+A sound model is never exact: another mesh moves its frequencies by some tenths of a percent, its damping is a guess,
+its shapes and gains are a percent off. These errors are given to the fit as quantities with a prior (`Scatter`):
+per mode a frequency offset, a damping ratio and a size, which are fitted, and per response shape errors and a gain,
+which are marginalised exactly. Missing physics is what they cannot explain at a reasonable price.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point, Response
+from labnnum.mechanisms.base import Term
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Standard deviations of the errors that a sound model and bench have.
+
+    `frequency`, `residue`, `shape`, `gain`: relative; `damping`: of the logarithm; `phase`: of a channel, in rad, both
+    constant and growing to that much at the top of the band; `complexity`: imaginary part of a shape; `remainder`:
+    relative, of what modes outside the band contribute; `floor`: relative residual that nothing explains.
+    """
+
+    frequency: float = 0.003
+    damping: float = 0.5
+    residue: float = 0.02
+    shape: float = 0.015
+    gain: float = 0.015
+    phase: float = 0.01
+    complexity: float = 0.01
+    remainder: float = 0.1
+    floor: float = 0.003
+    trim: float = 0.0
+    """Where positive, frequencies and loads are free within so many standard deviations and nothing is marginalised:
+    a model as it would be used, trimmed within what a sound one needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Measured FRFs `value` (n_out, n_in, n_f) at complex frequencies `s` (n_f,) with standard deviation `sigma`.
+
+    `sigma`, the shape of `value`, is the root of E|error|^2 over real and imaginary part together.
+    """
+
+    s: NDArray[np.complex128]
+    value: NDArray[np.complex128]
+    sigma: NDArray[np.float64]
+
+    def with_floor(self, floor: float) -> Data:
+        """The same with a relative error added to `sigma`, of each value and of its row's median."""
+        size = np.abs(self.value)
+        typical = np.median(size, axis=2, keepdims=True)
+        sigma = np.sqrt(self.sigma**2 + (floor * size) ** 2 + (0.3 * floor * typical) ** 2)
+        return Data(self.s, self.value, sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where a fit ended: point, objective (whitened squares plus price of the model's errors), covariance."""
+
+    point: Point
+    objective: float
+    data_part: float
+    prior_part: float
+    covariance: NDArray[np.float64]
+    log_determinant: float
+    terms: tuple[Term, ...]
+    converged: bool
+
+    @property
+    def n_theta(self) -> int:
+        """Number of the structure's parameters."""
+        return self.point.theta.size
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Quadratic model of the objective about one point."""
+
+    objective: float
+    data_part: float
+    prior_part: float
+    gradient: NDArray
+    hessian: NDArray
+    nuisance: NDArray
+
+
+class Problem:
+    """The objective of one fit: data, terms and scatter; evaluates itself and its Gauss-Newton model."""
+
+    def __init__(self, engine: Engine, data: Data, terms: Sequence[Term], scatter: Scatter) -> None:
+        self.engine, self.data, self.terms, self.scatter = engine, data, tuple(terms), scatter
+        start = engine.start(self.terms)
+        self.start = start
+        parameters = engine.structure.parameters
+        m = start.shift.size
+        self.mean = np.concatenate([start.theta, start.terms, np.zeros(m), start.log_zeta, np.zeros(m), [0.0]])
+        flat = np.full(start.terms.size, np.inf)
+        self.std = np.concatenate(
+            [[p.spread for p in parameters], flat, np.full(m, scatter.frequency), np.full(m, scatter.damping),
+             np.full(m, scatter.residue), [1.0]]
+        )  # fmt: skip
+        own = [q for t in self.terms for q in t.parameters]
+        wide = np.concatenate([np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9)])
+        low = np.concatenate([[p.lower for p in parameters], [q.lower for q in own], -wide])
+        high = np.concatenate([[p.upper for p in parameters], [q.upper for q in own], wide])
+        at = start.theta.size + start.terms.size + m
+        high[at : at + m] = np.log(0.7)
+        low, high = np.append(low, 0.0), np.append(high, 1.0)
+        if scatter.trim:
+            free = self.start.theta.size + self.start.terms.size
+            for first, width in ((free, scatter.frequency), (free + 2 * m, scatter.residue)):
+                low[first : first + m], high[first : first + m] = -scatter.trim * width, scatter.trim * width
+                self.std[first : first + m] = 10.0 * scatter.trim * width
+        self.low, self.high = low, high
+        self.root2 = np.sqrt(2.0)
+        own_reach = [max(q.upper - q.lower, 1e-300) for t in self.terms for q in t.parameters]
+        self.reach = np.concatenate(
+            [
+                [p.upper - p.lower for p in parameters],
+                own_reach,
+                np.full(m, 0.02),
+                np.full(m, 0.7),
+                np.full(m, 0.5),
+                [1.0],
+            ]
+        )
+
+    def clip(self, x: NDArray) -> NDArray:
+        """Inside the bounds."""
+        return np.minimum(np.maximum(x, self.low), self.high)
+
+    def _rows(self, a: Any) -> NDArray:
+        """Complex (..., o, i, f) over sigma to real (o i, 2 f, ...)."""
+        a = a * (self.root2 / self.data.sigma)
+        a = a.reshape(*a.shape[:-3], -1, a.shape[-1])
+        a = np.concatenate([a.real, a.imag], axis=-1)
+        return a if a.ndim == 2 else np.moveaxis(a, 0, -1)
+
+    def _nuisance(self, r: Response) -> NDArray:
+        """Whitened columns (rows, 2 f, n) of what is marginalised, times their standard deviations."""
+        sc, e = self.scatter, self.engine
+        assert r.modal is not None
+        assert r.modal_out is not None
+        assert r.lift is not None
+        assert r.rest is not None
+        if sc.trim:
+            return np.zeros((r.value.shape[0] * r.value.shape[1], 2 * self.data.s.size, 1))
+        b = e.band_modes
+        n_o, n_i = len(e.outputs), len(e.inputs)
+        if n_i > n_o:
+            modal = np.broadcast_to(r.modal_out[:, :, None, :], (b.size, n_o, n_i, self.data.s.size))
+        else:
+            modal = np.broadcast_to(r.modal[:, None, :, :], (b.size, n_o, n_i, self.data.s.size))
+        shapes = sc.shape * e.typical[:, None, None, None] * modal * r.lift
+        typical = np.broadcast_to(np.abs(r.rest).mean(axis=(0, 2), keepdims=True), r.rest.shape)
+        s = self.data.s / np.abs(self.data.s).max()
+        others = np.stack(
+            [
+                sc.gain * r.value,
+                1j * sc.phase * r.value,
+                s * sc.phase * r.value,
+                sc.remainder * r.rest * r.lift,
+                0.3j * sc.remainder * r.rest * r.lift,
+                0.3 * sc.remainder * typical * r.lift,
+            ]
+        )
+        return self._rows(np.concatenate([shapes, 1j * (sc.complexity / sc.shape) * shapes, others]))
+
+    def value(self, x: NDArray, like: _Normal) -> float:
+        """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
+        resp = self.engine.response(self.start.with_vector(x), self.terms, self.data.s)
+        return self._reduce(self._rows(self.data.value - resp.value), like.nuisance)[0] + self._price(x)
+
+    def _price(self, x: NDArray) -> float:
+        return float(np.sum(((x - self.mean) / self.std) ** 2))
+
+    def _parts(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray, NDArray, NDArray | None]:
+        point = self.start.with_vector(x)
+        resp = self.engine.response(point, self.terms, self.data.s, jacobian=jacobian, modal=True)
+        r = self._rows(self.data.value - resp.value)
+        j = None if resp.jacobian is None else self._rows(resp.jacobian)
+        return r, self._nuisance(resp), j
+
+    @staticmethod
+    def _reduce(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:
+        gram = np.matmul(b.transpose(0, 2, 1), b) + np.eye(b.shape[2])
+        br = np.einsum("rfn,rf->rn", b, r, optimize=True)
+        inner = np.linalg.solve(gram, br[..., None])[..., 0]
+        return float(np.sum(r * r) - np.sum(br * inner)), gram, inner
+
+    def normal(self, x: NDArray) -> _Normal:
+        """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
+        r, b, j = self._parts(x, jacobian=True)
+        assert j is not None
+        data_part, gram, inner = self._reduce(r, b)
+        bj = np.matmul(b.transpose(0, 2, 1), j)
+        solved = np.linalg.solve(gram, bj)
+        hessian = np.matmul(j.transpose(0, 2, 1), j).sum(0) - np.matmul(bj.transpose(0, 2, 1), solved).sum(0)
+        gradient = np.einsum("rfn,rf->n", j, r, optimize=True) - np.einsum("rbn,rb->n", bj, inner, optimize=True)
+        prior = 1.0 / self.std**2
+        gradient = gradient - prior * (x - self.mean)
+        return _Normal(data_part + self._price(x), data_part, self._price(x), gradient, hessian + np.diag(prior), b)
+
+
+def fit(
+    engine: Engine, data: Data, terms: Sequence[Term], scatter: Scatter, x: NDArray, *, steps: int = 12,
+    tolerance: float = 0.05,
+) -> Fit:  # fmt: skip
+    """Levenberg-Marquardt from `x` to the nearest maximum of the posterior.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n_x,)
+        Start, in the order of `Point.vector`.
+    steps : int
+        At most.
+    tolerance : float
+        Ends when a step gains less than this in the objective (a chi-square).
+    """
+    problem = Problem(engine, data, terms, scatter)
+    x = problem.clip(x)
+    here = problem.normal(x)
+    damping, converged = 1e-3, False
+    best = (here, x)
+    small = 0
+    for _ in range(steps):
+        moved = False
+        for _ in range(6):
+            step = _step(problem, here, x, damping)
+            trial = problem.clip(x + step)
+            value = problem.value(trial, here)
+            if np.isfinite(value) and value < here.objective:
+                moved = True
+                break
+            damping *= 8.0
+        if not moved:
+            converged = True
+            break
+        gain = here.objective - value
+        x, damping = trial, max(damping / 6.0, 1e-9)
+        here = problem.normal(x)
+        if here.objective < best[0].objective:
+            best = (here, x)
+        small = small + 1 if gain < max(tolerance, 1e-4 * value) else 0
+        if small == 2 or (small and damping < 1e-4):
+            converged = True
+            break
+    here, x = best
+    covariance, log_det = _covariance(here.hessian, problem, x)
+    return Fit(
+        problem.start.with_vector(x), here.objective, here.data_part, here.prior_part, covariance, log_det,
+        tuple(terms), converged,
+    )  # fmt: skip
+
+
+def _step(problem: Problem, here: _Normal, x: NDArray, damping: float) -> NDArray:
+    at_low = (x <= problem.low) & (here.gradient < 0)
+    at_high = (x >= problem.high) & (here.gradient > 0)
+    free = ~(at_low | at_high)
+    d = np.sqrt(np.maximum(np.diag(here.hessian), 1e-300))
+    scaled = here.hessian / np.outer(d, d)
+    scaled = scaled + damping * np.eye(d.size)
+    step = np.zeros_like(x)
+    pick = np.ix_(free, free)
+    step[free] = np.linalg.lstsq(scaled[pick], (here.gradient / d)[free], rcond=1e-13)[0] / d[free]
+    return step / max(1.0, float(np.max(np.abs(step) / problem.reach)))
+
+
+def _covariance(hessian: NDArray, problem: Problem, x: NDArray) -> tuple[NDArray, float]:
+    d = np.sqrt(np.maximum(np.diag(hessian), 1e-60))
+    scaled = hessian / np.outer(d, d)
+    value, vector = np.linalg.eigh(scaled)
+    value = np.maximum(value, 1e-12)
+    inverse = (vector / value) @ vector.T / np.outer(d, d)
+    return inverse, float(np.sum(np.log(value)) + 2 * np.sum(np.log(d)))

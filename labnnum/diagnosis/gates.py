@@ -1,0 +1,124 @@
+"""Faults that are judged before any model is fitted: a channel that clips, a structure that drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.verdict import Named
+from labnnum.mechanisms.base import Place, Term
+from labnnum.mechanisms.channel_clipping import ChannelClipping
+from labnnum.mechanisms.drift import Drift
+from labnnum.parameters import Parameter
+
+LOUD_DB = 12.0
+"""Odd distortion above noise that counts as distorted."""
+QUIET_DB = 6.0
+"""Odd distortion above noise that counts as clean, over many lines."""
+PILED = 8.0
+"""Excess of samples at the rail over those just inside it that counts without distortion lines."""
+CHANGED = 1.25
+"""Ratio of the change within a run to what its periods' scatter allows; sound runs scatter about 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """What the gates found, and the observations that remain fit for a linear model."""
+
+    named: tuple[Named, ...]
+    usable: tuple[Observation, ...]
+    distorted: bool
+    """Distortion in more than one channel: the structure itself may be nonlinear."""
+
+
+def pass_gates(observations: Sequence[Observation]) -> Gate:
+    """Judge clipping; runs in which a channel clips are left out, or that channel where it clips in all of them."""
+    clips = [clipped_channel(o) for o in observations]
+    names = [c for c in clips if c]
+    distorted = any(_spread_distortion(o) for o, c in zip(observations, clips, strict=True) if not c)
+    if not names:
+        return Gate((), tuple(observations), distorted)
+    name = max(set(names), key=names.count)
+    affected = [o for o, c in zip(observations, clips, strict=True) if c == name]
+    level = min(o.peaks.get(name, np.nan) for o in affected)
+    unit = next(c.unit for o in affected for c in (*o.frf.outputs, *o.frf.inputs) if c.name == name)
+    parameter = Parameter("rail", level, 0.0, np.inf, unit)
+    term = Term(ChannelClipping(), Place("channel", name), (parameter,), np.zeros((0, 1)))
+    found = Named(term, np.array([level]), np.array([0.01 * level]), 0.99)
+    clean = [o for o, c in zip(observations, clips, strict=True) if c != name]
+    if not clean:
+        clean = [_without(o, name) for o in observations]
+        clean = [o for o in clean if o is not None]
+    return Gate((found,), tuple(clean or observations), distorted)
+
+
+def clipped_channel(o: Observation) -> str:
+    """Name of the channel that clips in this run; empty if none does.
+
+    With detection lines: odd distortion on that channel while all others are clean, or distortion of the measured
+    input that no response shows. Without: samples that pile up at the rail.
+    """
+    odd = o.distortion.get("odd_over_noise")
+    outputs = [c.name for c in o.frf.outputs]
+    if odd is not None:
+        loud = np.flatnonzero(odd > LOUD_DB)
+        raw = o.distortion["odd_raw_over_noise"]
+        if float(o.distortion["odd_input_over_noise"][0]) > LOUD_DB and (raw < QUIET_DB).all() and loud.size:
+            return o.frf.inputs[0].name
+        if loud.size == 1 and len(outputs) > 1 and (np.delete(odd, loud[0]) < QUIET_DB).all():
+            return outputs[int(loud[0])]
+        if loud.size == 0:
+            return ""
+    piled = {n: c.score for n, c in o.clipped.items() if c.score >= PILED}
+    if len(piled) == 1 or (piled and odd is None):
+        return max(piled, key=lambda n: piled[n])
+    return ""
+
+
+def _spread_distortion(o: Observation) -> bool:
+    odd, even = o.distortion.get("odd_over_noise"), o.distortion.get("even_over_noise")
+    rows = [d for d in (odd, even) if d is not None]
+    return any(np.count_nonzero(d > LOUD_DB) >= max(1, min(2, d.size)) for d in rows)
+
+
+def _without(o: Observation, name: str) -> Observation | None:
+    keep = [i for i, c in enumerate(o.frf.outputs) if c.name != name]
+    if len(keep) == len(o.frf.outputs) or not keep:
+        return None
+    f = o.frf
+    cut = replace(
+        f, value=f.value[keep], outputs=tuple(f.outputs[i] for i in keep),
+        variance=None if f.variance is None else f.variance[keep],
+        coherence=None if f.coherence is None else f.coherence[keep],
+    )  # fmt: skip
+    return replace(o, frf=cut)
+
+
+def drifted(engine: Engine, observations: Sequence[Observation]) -> Named | None:
+    """Drift, if the runs change within themselves beyond their scatter; its size from the common frequency change."""
+    ratios = [o.drift for o in observations if o.drift > 0]
+    if not ratios or float(np.median(ratios)) < CHANGED:
+        return None
+    sizes = [_stiffness_change(engine, o) for o in observations if o.drift_slope is not None]
+    value, std = float(np.mean(sizes)), float(np.std(sizes) / np.sqrt(max(len(sizes), 1)) + 1e-6)
+    parameter = Parameter("relative_change", 0.0, -1.0, 10.0)
+    term = Term(Drift(), Place("global", "structure"), (parameter,), np.zeros((0, 1)))
+    return Named(term, np.array([value]), np.array([std]), float(min(0.999, 1 - np.exp(-3 * (np.median(ratios) - 1)))))
+
+
+def _stiffness_change(engine: Engine, o: Observation) -> float:
+    """Relative change of all stiffness over the run: the halves differ by half of it, and frequency by half of that.
+
+    The measured FRF's own derivative to a common stretch of frequency stands for the model's.
+    """
+    assert o.drift_slope is not None
+    h, change = o.frf.value, o.drift_slope.value
+    omega = o.frf.omega
+    stretch = -np.gradient(h, omega, axis=2) * omega
+    weight = np.ones_like(np.abs(h)) if o.frf.variance is None else 1.0 / np.maximum(o.frf.variance, 1e-300)
+    common = np.sum(weight * np.real(np.conj(stretch) * change))
+    return float(4 * common / np.sum(weight * np.abs(stretch) ** 2))

@@ -1,0 +1,317 @@
+"""Forward selection of linear terms: base fit, search, full fits of the leads, and again on what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist
+from labnnum.diagnosis.verdict import Limits
+from labnnum.frf import Frf
+from labnnum.mechanisms.base import Place, Term
+
+LADDER = (0.05, 0.015, 0.005, 0.0015)
+"""Relative half-widths to which resonances are broadened on the way from a rough start to the lines themselves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model with its terms, fitted."""
+
+    terms: tuple[Term, ...]
+    fit: Fit
+    cost: float
+    """Objective plus the price of the terms' parameters."""
+
+    @property
+    def last(self) -> Term:
+        """The term added last."""
+        return self.terms[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """How the forward selection went: the chain of accepted models, and each stage's candidates, best first."""
+
+    chain: tuple[Candidate, ...]
+    stages: tuple[tuple[Candidate, ...], ...]
+    general: Candidate | None
+    """The best general local law beside the first stage."""
+
+    gains: dict[Place, float]
+    """Place -> the most that any term there removed from the base's objective, fitted or scored."""
+
+
+def dispersion(made: Fit, data: Data) -> float:
+    """By how much the residuals of the best model exceed what they were given; gains are divided by it.
+
+    McCullagh and Nelder (1989), section 4.5: with errors larger than assumed, differences of chi-square are too large
+    by the same factor.
+    """
+    return max(1.0, made.data_part / (2 * data.value.size))
+
+
+def choose_lines(frf: Frf, n: int = 400) -> Frf:
+    """At most `n` lines, dense where the FRFs turn quickly.
+
+    Lines are taken at equal increments of an arc length: the change of log H between neighbours, noise left out,
+    plus an even share in log frequency.
+    """
+    if frf.frequency.size <= n:
+        return frf
+    h = frf.value.reshape(-1, frf.frequency.size)
+    noise = np.sqrt(frf.variance.reshape(h.shape)) if frf.variance is not None else 0 * np.abs(h)
+    size = np.sqrt(np.abs(h[:, 1:]) * np.abs(h[:, :-1])) + 1e-300
+    turn = np.maximum(np.abs(np.diff(h, axis=1)) - 2 * noise[:, 1:], 0) / size
+    turn = np.minimum(turn, 0.7).mean(axis=0)
+    even = np.diff(np.log(frf.frequency))
+    weight = 0.6 * turn / max(turn.sum(), 1e-300) + 0.4 * even / even.sum()
+    arc = np.concatenate([[0], np.cumsum(weight)])
+    pick = np.unique(np.searchsorted(arc, np.linspace(0, arc[-1], n)).clip(0, frf.frequency.size - 1))
+    return frf.at(pick)
+
+
+def data_of(frf: Frf, scatter: Scatter) -> Data:
+    """Fit data of an Frf whose variance is known; an exponential window becomes a shift of s."""
+    assert frf.variance is not None
+    decay = float(frf.settings.get("window_decay", 0.0))
+    s = np.asarray(decay + 1j * frf.omega, complex)
+    return Data(s, frf.value, np.sqrt(frf.variance)).with_floor(scatter.floor)
+
+
+def down_the_ladder(
+    engine: Engine, ladder: Sequence[Data], data: Data, terms: Sequence[Term], scatter: Scatter, x: NDArray
+) -> Fit:
+    """Fit the broadened data from rough to fine, then the lines; the better of that and the direct fit."""
+    rough = x
+    for level in ladder:
+        rough = fit(engine, level, terms, scatter, rough, steps=8, tolerance=1.0).point.vector()
+    return fit(engine, data, terms, scatter, rough, steps=20 if terms else 40)
+
+
+def base_fit(
+    engine: Engine, ladder: Sequence[Data], data: Data, scatter: Scatter, held: Sequence[Term], start: Point
+) -> Fit:
+    """The structure as it is, its parameters, damping and ordinary errors fitted."""
+    x = start.vector()
+    found = [down_the_ladder(engine, ladder[i:], data, held, scatter, x) for i in range(len(ladder) + 1)]
+    best = min(found, key=lambda f: f.objective)
+    typical = np.full_like(best.point.log_zeta, np.median(best.point.log_zeta))
+    again = fit(engine, data, held, scatter, replace(best.point, log_zeta=typical).vector(), steps=40)
+    return min(best, again, key=lambda f: f.objective)
+
+
+LOOSE = Scatter(
+    frequency=0.02, damping=1.5, residue=0.2, shape=0.15, gain=0.2, phase=0.1, complexity=0.1, remainder=0.5
+)
+"""Errors so large that only what no mode can follow is left: how much noise FRFs hold whose noise nobody measured."""
+
+
+def with_noise_found(engine: Engine, data: Data, ladder: Sequence[Data], held: Sequence[Term], start: Point) -> Data:
+    """The data with `sigma` raised to what the structure's modes leave when they may have any frequency and shape."""
+    made = base_fit(engine, ladder, data, LOOSE, held, start)
+    return replace(data, sigma=data.sigma * np.sqrt(dispersion(made, data)))
+
+
+def select(
+    engine: Engine, frf: Frf, terms: Sequence[Term], general: Sequence[Term], scatter: Scatter, limits: Limits,
+    *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 7,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Selection:  # fmt: skip
+    """Add the best term while it pays (`limits`), `depth` at most.
+
+    Parameters
+    ----------
+    frf : Frf
+        Training data with variance; lines are thinned here.
+    terms : sequence of Term
+        The catalogue at its places.
+    general : sequence of Term
+        General local laws, for location and for the decision to abstain.
+    measured_noise : bool
+        Whether the variance was measured; if not, it is raised to what a loose fit leaves.
+    initial : sequence of (Term, values)
+        Mechanisms that the model holds already.
+    width : int
+        Leads of each score that get a full fit.
+    """
+    data = data_of(choose_lines(frf), scatter)
+    held = tuple(t for t, _ in initial)
+    start = engine.start(held, np.concatenate([np.empty(0), *(p for _, p in initial)]))
+    ladder = [broaden(engine, data, start, held, k) for k in LADDER]
+    if not measured_noise:
+        progress("estimating the noise")
+        data = with_noise_found(engine, data, ladder, held, start)
+    progress("fitting the model as it is")
+    base = base_fit(engine, ladder, data, scatter, held, start)
+    chain = [Candidate(held, base, base.objective)]
+    stages: list[tuple[Candidate, ...]] = []
+    law: Candidate | None = None
+    gains: dict[Place, float] = {}
+    for stage in range(depth):
+        progress(f"searching the catalogue for mechanism {stage + 1}")
+        found = _stage(engine, ladder, data, terms, scatter, limits, chain[-1], width)
+        if not found:
+            break
+        stages.append(tuple(found))
+        if stage == 0:
+            law = _general(engine, ladder, data, general, scatter, limits, chain[0])
+            tried = [*found, *([law] if law else [])]
+            for c in tried:
+                place = c.last.place
+                gains[place] = max(gains.get(place, 0.0), base.objective - c.fit.objective)
+        best = _simplest(found, limits)
+        excess = dispersion(best.fit, data)
+        gain = (chain[-1].cost - best.cost) / excess
+        total = (chain[0].cost - best.cost) / excess
+        if gain < (limits.alarm if stage == 0 else limits.further):
+            break
+        if stage and gain < limits.share * total and gain < 0.5 * chain[-1].cost / excess:
+            break  # a ripple of the first, or of the mesh, and not a mechanism of its own
+        chain.append(best)
+    return Selection(tuple(chain), tuple(stages), law, gains)
+
+
+def _simplest(found: Sequence[Candidate], limits: Limits) -> Candidate:
+    """The best; among those that tie with it, the one with the fewest parameters."""
+    ties = [c for c in found if c.cost < found[0].cost + limits.parameter]
+    return min(ties, key=lambda c: (c.last.n, c.cost))
+
+
+def _try(
+    engine: Engine, ladder: Sequence[Data], data: Data, lead: Lead, scatter: Scatter, limits: Limits,
+    before: Candidate, *, rough: bool,
+) -> Candidate:  # fmt: skip
+    terms = (*before.terms, lead.term)
+    old = before.fit.point if not rough or before.terms or len(ladder) < len(LADDER) else engine.start()
+    point = replace(old, terms=np.concatenate([old.terms, lead.start]))
+    made = down_the_ladder(engine, ladder if rough else (), data, terms, scatter, point.vector())
+    price = limits.parameter * sum(_count(t) for t in terms)
+    return Candidate(terms, made, made.objective + price)
+
+
+def _count(term: Term) -> int:
+    return max(term.n, 1)
+
+
+def _stage(
+    engine: Engine, ladder: Sequence[Data], data: Data, terms: Sequence[Term], scatter: Scatter, limits: Limits,
+    before: Candidate, width: int,
+) -> list[Candidate]:  # fmt: skip
+    x = before.fit.point.vector()
+    nominal = x if before.terms else engine.start().vector()
+    fine = shortlist(direction_score(engine, data, scatter, terms, x, before.terms), width)
+    rough = shortlist(grid_score(engine, ladder[0], scatter, terms, nominal, before.terms), width)
+    found = [_try(engine, ladder, data, lead, scatter, limits, before, rough=False) for lead in fine]
+    found += [_try(engine, ladder, data, _faint(lead), scatter, limits, before, rough=False) for lead in fine[:5]]
+    found += [_try(engine, ladder, data, lead, scatter, limits, before, rough=True) for lead in rough]
+    if found:
+        winner = min(found, key=lambda c: c.cost)
+        done = {id(c.last) for c in found if c.cost < before.cost}
+        found += _elsewhere(engine, data, terms, scatter, limits, before, winner, done)
+        second = min(found, key=lambda c: c.cost)
+        found += _again(engine, ladder, data, terms, scatter, limits, before, second, done)
+    found = [c for c in found if not _shadows(engine, c)]
+    best: dict[int, Candidate] = {}
+    for c in found:
+        key = id(c.last)
+        if key not in best or c.cost < best[key].cost:
+            best[key] = c
+    return sorted(best.values(), key=lambda c: c.cost)
+
+
+def _shadows(engine: Engine, c: Candidate) -> bool:
+    """Whether an added mode sits on one that the structure has: then it mends that peak and is no mode of its own."""
+    if not c.last.data.get("extra_mode"):
+        return False
+    b = engine.band_modes
+    own = engine.state(c.fit.point.theta).omega[b] * (1 + c.fit.point.shift) / 2 / np.pi
+    frequency = c.fit.point.terms[c.fit.point.terms.size - c.last.n]
+    return bool(np.any(np.abs(own - frequency) < 0.015 * frequency))
+
+
+def _faint(lead: Lead) -> Lead:
+    """The lead from its faintest start: the fitted errors already align the peaks, and are traded in step by step."""
+    if not lead.term.n:
+        return lead
+    same_way = lead.term.starts[np.sign(lead.term.starts[:, 0]) == np.sign(lead.start[0])]
+    if not same_way.size:
+        return lead
+    start = lead.start.copy()
+    start[0] = same_way[np.argmin(np.abs(same_way[:, 0])), 0]
+    return Lead(lead.term, start, lead.gain)
+
+
+def _elsewhere(
+    engine: Engine, data: Data, terms: Sequence[Term], scatter: Scatter, limits: Limits, before: Candidate,
+    winner: Candidate, done: set[int], n: int = 4,
+) -> list[Candidate]:  # fmt: skip
+    """The winner's mechanism at the places where it was not tried, from the winner's parameters: its true rivals."""
+    kin = [
+        t for t in terms if t.mechanism.id == winner.last.mechanism.id and id(t) not in done and t.n == winner.last.n
+    ]
+    if not kin or not winner.last.n:
+        return []
+    p = winner.fit.point.terms[-winner.last.n :]
+    sized = []
+    for t in kin:
+        scale = t.parameters[0].upper / winner.last.parameters[0].upper if np.isfinite(t.parameters[0].upper) else 1.0
+        starts = np.array([[f * scale * p[0], *p[1:]] for f in (0.25, 0.5, 1.0, 2.0)] + [[p[0], *p[1:]]])
+        low, high = [q.lower for q in t.parameters], [q.upper for q in t.parameters]
+        sized.append(replace(t, starts=np.clip(starts, low, high)))
+    point = winner.fit.point
+    x = replace(point, terms=point.terms[: -winner.last.n]).vector()
+    leads = shortlist(grid_score(engine, data, scatter, sized, x, before.terms), n)
+    own = {(str(t.place), t.variant): t for t in kin}
+    again = [Lead(own[str(lead.term.place), lead.term.variant], lead.start, lead.gain) for lead in leads]
+    return [_try(engine, (), data, lead, scatter, limits, winner_base(before, winner), rough=False) for lead in again]
+
+
+def _again(
+    engine: Engine, ladder: Sequence[Data], data: Data, terms: Sequence[Term], scatter: Scatter, limits: Limits,
+    before: Candidate, winner: Candidate, done: set[int], n: int = 5,
+) -> list[Candidate]:  # fmt: skip
+    """Every other term scored once more where the winner has put the parameters."""
+    others = [t for t in terms if id(t) not in done and id(t) != id(winner.last)]
+    origin = winner_base(before, winner)
+    leads = grid_score(engine, ladder[1], scatter, others, origin.fit.point.vector(), before.terms)
+    leads = sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n))
+    out = []
+    for lead in _one_each(leads)[:n]:
+        out.append(_try(engine, ladder[2:], data, lead, scatter, limits, origin, rough=True))
+    return out
+
+
+def _one_each(leads: Sequence[Lead]) -> list[Lead]:
+    """The best lead of each mechanism and place."""
+    seen: set[tuple[str, Place]] = set()
+    out = []
+    for lead in leads:
+        key = (lead.term.mechanism.id, lead.term.place)
+        if key not in seen:
+            seen.add(key)
+            out.append(lead)
+    return out
+
+
+def winner_base(before: Candidate, winner: Candidate) -> Candidate:
+    """The model before, at the parameters and ordinary errors that the winner found."""
+    point = winner.fit.point
+    point = replace(point, terms=point.terms[: -winner.last.n])
+    return Candidate(before.terms, replace(winner.fit, point=point), before.cost)
+
+
+def _general(
+    engine: Engine, ladder: Sequence[Data], data: Data, general: Sequence[Term], scatter: Scatter, limits: Limits,
+    before: Candidate,
+) -> Candidate | None:  # fmt: skip
+    """The general law that leaves least, tried at the places of the best scores."""
+    if not general:
+        return None
+    laws = _stage(engine, ladder, data, general, scatter, limits, before, 4)
+    return laws[0] if laws else None

@@ -1,0 +1,448 @@
+"""What a diagnosis looks at: FRFs with their noise from any excitation, and the signs that no FRF shows.
+
+From periodic recordings: the mean over periods, noise per line, distortion on lines that were not excited, and the
+change from the first to the last period. From random or hammer recordings: H1 with its random error. From any
+recording: runs of samples at the end of a channel's range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.errors import ChannelError, EstimationError
+from labnnum.frf import Frf
+from labnnum.recording import Recording
+
+SHARP = 0.5
+"""Change of log power from line to line above which a resonance is not resolved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """One run: its FRFs on the excited lines, and its side evidence.
+
+    `level` is the RMS of the input; `distortion` per output the ratio in dB of what stands on odd and on even
+    detection lines to what stands on excited lines, each beside the noise there; `drift` the largest standardised
+    change between the first and the second half; `clipped` channel -> share of samples at the rail.
+    """
+
+    frf: Frf
+    level: float
+    label: str
+    kind: str
+    distortion: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    drift: float = 0.0
+    drift_slope: Frf | None = None
+    clipped: dict[str, Clip] = field(default_factory=dict)
+    peaks: dict[str, float] = field(default_factory=dict)
+    """Channel -> largest magnitude, in its SI unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """Runs of samples at the end of a channel's range: share there, where (SI), the excess over chance."""
+
+    share: float
+    level: float
+    score: float
+
+
+def observe(recording: Recording) -> Observation:
+    """The observation of one recording; its kind follows from `period` and `breaks`."""
+    recording.require_finite()
+    if not recording.inputs or not recording.outputs:
+        raise ChannelError(f"{recording.label}: a diagnosis needs a reference or base channel and a response")
+    clipped = {c.name: clipping(x) for c, x in zip(recording.channels, recording.data, strict=True)}
+    clipped = {n: c for n, c in clipped.items() if c.score > 0}
+    level = float(np.sqrt(np.mean(recording.data[recording.inputs[0]] ** 2)))
+    if recording.period:
+        made = _periodic(recording)
+    elif recording.breaks or is_hit(recording):
+        return observe_hits([recording])
+    else:
+        made = _random(recording)
+    peaks = {c.name: float(np.max(np.abs(x))) for c, x in zip(recording.channels, recording.data, strict=True)}
+    return replace(made, level=level, clipped=clipped, peaks=peaks)
+
+
+# -------------------------------------------------------------------- periodic
+
+
+def _periods(recording: Recording) -> NDArray:
+    """Steady periods, shape (n_periods, n_channels, period)."""
+    n = recording.period
+    out = []
+    for start, stop in recording.spans():
+        first = start + recording.drop_periods * n
+        for at in range(first, stop - n + 1, n):
+            out.append(recording.data[:, at : at + n])
+    if not out:
+        raise EstimationError(
+            f"{recording.label}: no whole period of {n} samples is left after dropping {recording.drop_periods}"
+        )
+    return np.array(out)
+
+
+def excited_lines(spectrum: NDArray, noise: NDArray) -> NDArray[np.bool_]:
+    """Lines (n_f,) that the excitation holds: well above the noise and above their neighbourhood's detection lines."""
+    from scipy.ndimage import maximum_filter1d
+
+    size = np.abs(spectrum)
+    size[0] = 0
+    around = maximum_filter1d(size, 41)
+    return (size > 0.05 * around) & (size > 1e-3 * size.max()) & (size > 4 * noise)
+
+
+def _smooth(variance: NDArray, width: int = 31) -> NDArray:
+    from scipy.ndimage import uniform_filter1d
+
+    smooth = uniform_filter1d(variance, min(width, max(variance.shape[-1] // 4, 1)), axis=-1, mode="nearest")
+    return np.maximum(smooth, 0.0)  # the running sum may end a rounding below zero
+
+
+def _periodic(recording: Recording) -> Observation:
+    x = _periods(recording)
+    n_periods, _, n = x.shape
+    spectra = np.fft.rfft(x, axis=2) * (2 / n)
+    mean = spectra.mean(axis=0)
+    frequency = np.arange(mean.shape[1]) * recording.rate / n
+    inputs, outputs = list(recording.inputs), list(recording.outputs)
+    if len(inputs) > 1:
+        raise EstimationError(f"{recording.label}: a periodic run has one input at a time, not {len(inputs)}")
+    u, y = mean[inputs[0]], mean[outputs]
+    if n_periods > 1:
+        each = spectra - mean
+        noise_u = _smooth(np.mean(np.abs(each[:, inputs[0]]) ** 2, axis=0) / (n_periods - 1))
+    else:
+        noise_u = np.full(u.size, (1e-4 * np.abs(u).max()) ** 2)
+    on = excited_lines(u.copy(), np.sqrt(noise_u))
+    on[0] = False
+    if not on.any():
+        raise EstimationError(f"{recording.label}: channel {recording.channels[inputs[0]].name!r} excites no line")
+    h = y[:, on] / u[on]
+    if n_periods > 1:
+        error = each[:, outputs][:, :, on] - h * each[:, inputs[0]][:, None, on]
+        variance = np.mean(np.abs(error) ** 2, axis=0) / (n_periods - 1) / np.abs(u[on]) ** 2
+        variance = 0.5 * variance + 0.5 * _smooth(variance, 9)
+    else:
+        variance = noise_from_smoothness(frequency[on], h)
+    drift, slope = _drift(spectra, inputs, outputs, on, h) if n_periods >= 4 else (0.0, None)
+    made = Frf(
+        frequency[on], h[:, None], tuple(recording.channels[i] for i in outputs),
+        (recording.channels[inputs[0]],), None, variance[:, None], float(n_periods), "periodic",
+        {"period": n, "rate": recording.rate, "n_periods": n_periods},
+    )  # fmt: skip
+    slope_frf = None if slope is None else replace(made, value=slope[:, None], variance=None)
+    return Observation(
+        made,
+        0.0,
+        recording.label,
+        "periodic",
+        _distortion(mean, noise_u, inputs, outputs, on, h, spectra),
+        drift,
+        slope_frf,
+    )
+
+
+def _drift(spectra: NDArray, inputs: list[int], outputs: list[int], on: NDArray, h: NDArray) -> tuple[float, NDArray]:
+    """Change of the FRFs from the first to the second half of the run: excess variance ratio, and the change."""
+    half = spectra.shape[0] // 2
+    parts = []
+    for chunk in (spectra[:half], spectra[-half:]):
+        m = chunk.mean(axis=0)
+        parts.append(m[outputs][:, on] / m[inputs[0]][on])
+    change = parts[1] - parts[0]
+    each = spectra[:, outputs][:, :, on] / spectra[:, inputs[0]][:, None, on]
+    within = 0.0
+    for chunk in (each[:half], each[-half:]):
+        step = np.diff(chunk, axis=0)
+        within = within + np.sum(np.abs(step) ** 2, axis=0) / 2 / max(step.shape[0], 1) / 2
+    expected = within * 2 / half
+    ratio = float(np.sum(np.abs(change) ** 2 / np.maximum(_smooth(expected), 1e-300)) / change.size)
+    return ratio, change
+
+
+def _distortion(
+    mean: NDArray,
+    noise_u: NDArray,
+    inputs: list[int],
+    outputs: list[int],
+    on: NDArray,
+    h: NDArray,
+    spectra: NDArray,
+) -> dict[str, NDArray[np.float64]]:
+    """Per output: odd and even distortion in dB under the excited lines, and in dB above the noise."""
+    lines = np.flatnonzero(on)
+    inside = np.zeros(on.size, bool)
+    inside[lines[0] : lines[-1] + 1] = True
+    off = inside & ~on
+    odd = off & (np.arange(on.size) % 2 == 1)
+    even = off & (np.arange(on.size) % 2 == 0)
+    n_periods = spectra.shape[0]
+    out: dict[str, NDArray[np.float64]] = {}
+    y = mean[outputs]
+    u = mean[inputs[0]]
+    grid = np.arange(on.size)
+    through = np.array([np.interp(grid, lines, row.real) + 1j * np.interp(grid, lines, row.imag) for row in h])
+    rest = y - through * u
+    signal = np.mean(np.abs(y[:, on]) ** 2, axis=1)
+    for name, where in (("odd", odd), ("even", even)):
+        if np.count_nonzero(where) < 4:
+            continue
+        power = np.mean(np.abs(rest[:, where]) ** 2, axis=1)
+        out[name] = 10 * np.log10(np.maximum(power / signal, 1e-30))
+        if n_periods > 1:
+            each = spectra[:, outputs] - y
+            noise = np.mean(np.abs(each[:, :, where]) ** 2, axis=(0, 2)) / (n_periods - 1)
+            out[name + "_over_noise"] = 10 * np.log10(np.maximum(power, 1e-300) / np.maximum(noise, 1e-300))
+            raw = np.mean(np.abs(y[:, where]) ** 2, axis=1)
+            out[name + "_raw_over_noise"] = 10 * np.log10(np.maximum(raw, 1e-300) / np.maximum(noise, 1e-300))
+            of_input = np.mean(np.abs(u[where]) ** 2) / max(float(np.mean(noise_u[where])), 1e-300)
+            out[name + "_input_over_noise"] = np.array([10 * np.log10(max(of_input, 1e-30))])
+    return out
+
+
+# -------------------------------------------------------------------- hits and random
+
+
+def is_hit(recording: Recording) -> bool:
+    """Whether the input is a short pulse: a hundredth of the record holds most of its energy."""
+    if recording.period or len(recording.inputs) != 1:
+        return False
+    x = recording.data[recording.inputs[0]]
+    x = x - np.median(x)
+    energy = np.sort(x**2)[::-1]
+    return bool(energy[: max(x.size // 100, 8)].sum() > 0.8 * energy.sum())
+
+
+def observe_hits(recordings: Sequence[Recording]) -> Observation:
+    """One observation of the hits of one level: H1 over all, seen through an exponential window.
+
+    Each contiguous span is a hit. The window brings the response down to a hundredth at the end of the record; what
+    it does to the FRF is exact, a shift of i omega to i omega + decay, and is recorded as "window_decay".
+    """
+    first = recordings[0]
+    pieces = [r.data[:, a:b] for r in recordings for a, b in r.spans()]
+    n = min(p.shape[1] for p in pieces)
+    x = np.stack([p[:, :n] for p in pieces])
+    x = x - np.median(x[:, :, -max(n // 10, 1) :], axis=2, keepdims=True)
+    decay = np.log(100.0) * first.rate / n
+    spectra = np.fft.rfft(x * np.exp(-decay * np.arange(n) / first.rate), axis=2) / first.rate
+    u, y = spectra[:, first.inputs[0]], spectra[:, list(first.outputs)]
+    power = np.sum(np.abs(u) ** 2, axis=0)
+    h = np.sum(y * np.conj(u)[:, None], axis=0) / power
+    frequency = np.fft.rfftfreq(n, 1 / first.rate)
+    if len(pieces) >= 3:
+        left = y - h * u[:, None]
+        variance = _smooth(np.sum(np.abs(left) ** 2, axis=0) / (len(pieces) - 1), 9) / power
+    else:
+        variance = noise_from_smoothness(frequency, h)
+    keep = (frequency > 0) & (power > 1e-3 * power.max())
+    frf = Frf(
+        frequency[keep], h[:, None][..., keep], tuple(first.channels[i] for i in first.outputs),
+        (first.channels[first.inputs[0]],), None, variance[:, None][..., keep], float(len(pieces)), "H1",
+        {"window_decay": float(decay), "rate": first.rate, "n_segment": n},
+    )  # fmt: skip
+    level = float(np.median(np.max(np.abs(x[:, first.inputs[0]]), axis=1)))
+    clipped, peaks = _rails(recordings)
+    return Observation(_heard(frf), level, first.label, "hammer", clipped=clipped, peaks=peaks)
+
+
+def observe_all(recordings: Sequence[Recording]) -> list[Observation]:
+    """Observations of several recordings: hits of one level together, every other recording on its own."""
+    out, hits = [], []
+    for r in recordings:
+        if not r.inputs or not r.outputs:
+            out.append(observe(r))
+        elif is_hit(r.require_finite()) or (r.breaks and not r.period):
+            hits.append(r)
+        else:
+            out.append(observe(r))
+    return out + [observe_hits(group) for group in _levels(hits)]
+
+
+def _levels(hits: Sequence[Recording]) -> list[list[Recording]]:
+    """Hits in groups whose peak forces lie within a factor of two of each other's first."""
+    ordered = sorted(hits, key=lambda r: float(np.max(np.abs(r.data[r.inputs[0]]))))
+    groups: list[list[Recording]] = []
+    for r in ordered:
+        peak = float(np.max(np.abs(r.data[r.inputs[0]])))
+        if groups and peak <= 2.0 * float(np.max(np.abs(groups[-1][0].data[groups[-1][0].inputs[0]]))):
+            groups[-1].append(r)
+        else:
+            groups.append([r])
+    return groups
+
+
+def _rails(recordings: Sequence[Recording]) -> tuple[dict[str, Clip], dict[str, float]]:
+    """Channels that look clipped in any recording, and each channel's largest magnitude."""
+    clipped: dict[str, Clip] = {}
+    peaks: dict[str, float] = {}
+    for r in recordings:
+        for c, x in zip(r.channels, r.data, strict=True):
+            peaks[c.name] = max(peaks.get(c.name, 0.0), float(np.max(np.abs(x))))
+            found = clipping(x) if c.role != "reference" else flat_top(x)
+            if found.score > max(clipped[c.name].score if c.name in clipped else 0.0, 0.0):
+                clipped[c.name] = found
+    return clipped, peaks
+
+
+def flat_top(x: NDArray) -> Clip:
+    """Clipping of a pulse: more than three samples in a row at its very top."""
+    top = float(np.max(np.abs(x)))
+    if top == 0:
+        return Clip(0.0, 0.0, 0.0)
+    at = np.abs(x) > top * (1 - 1e-6)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(int), [0]])))
+    longest = int(np.max(edges[1::2] - edges[::2], initial=0))
+    return Clip(float(at.mean()), top, 10.0 if longest > 3 else 0.0)
+
+
+def _random(recording: Recording) -> Observation:
+    """H1 with a Hann window over the longest segments that leave thirty averages."""
+    from labnnum.estimators import H1
+    from labnnum.spectra import Welch
+
+    longest = max(stop - start for start, stop in recording.spans())
+    n = int(2 ** np.floor(np.log2(max(longest / 15, 64))))
+    made = H1(Welch(n, window="hann", overlap=0.5))(recording)
+    keep = _driven(made)
+    return Observation(_trusted(_with_noise(made.at(keep))), 0.0, recording.label, "random")
+
+
+def _driven(frf: Frf) -> NDArray[np.bool_]:
+    """Lines with input power within 40 dB of the strongest, zero left out."""
+    keep = frf.frequency > 0
+    if frf.input_spectrum is not None:
+        power = np.real(np.einsum("iif->f", frf.input_spectrum))
+        keep &= power > 1e-4 * power.max()
+    return keep
+
+
+def _with_noise(frf: Frf) -> Frf:
+    if frf.variance is not None and np.isfinite(frf.variance).all():
+        return frf
+    rows = frf.value.reshape(-1, frf.frequency.size)
+    return replace(frf, variance=noise_from_smoothness(frf.frequency, rows).reshape(frf.value.shape))
+
+
+def observe_frf(frf: Frf, label: str = "FRF") -> Observation:
+    """The observation of FRFs that came without time signals."""
+    usable = frf.frequency > 0
+    return Observation(_trusted(_with_noise(frf.at(usable))), float("nan"), label, "frf")
+
+
+def _heard(frf: Frf) -> Frf:
+    """Without the lines where noise drowns every row."""
+    assert frf.variance is not None
+    ratio = np.abs(frf.value) / np.maximum(np.sqrt(frf.variance), 1e-300)
+    keep = np.median(ratio.reshape(-1, frf.frequency.size), axis=0) > 3.0
+    return frf.at(keep) if np.count_nonzero(keep) >= 24 else frf
+
+
+def _trusted(frf: Frf) -> Frf:
+    """Without lines that say nothing (noise in every row) or that leak (a resonance sharper than the lines resolve).
+
+    A periodic excitation has no leakage and keeps all its lines; here a resonance whose power changes by more than
+    `SHARP` nepers from one line to the next was seen through a record too short for it.
+    """
+    h = np.abs(frf.value.reshape(-1, frf.frequency.size))
+    assert frf.variance is not None
+    noise = np.sqrt(frf.variance.reshape(h.shape))
+    heard = np.median(h / np.maximum(noise, 1e-300), axis=0) > 5.0
+    power = np.mean((h / np.median(h, axis=1, keepdims=True)) ** 2, axis=0)
+    step = np.abs(np.diff(np.log(power + 1e-300)))
+    sharp = (np.maximum(np.append(step, 0), np.append(0, step)) > SHARP) & (power > 4.0)
+    from scipy.ndimage import binary_dilation
+
+    near: NDArray[np.bool_] = np.asarray(binary_dilation(sharp, iterations=1), bool)
+    keep = heard & np.logical_not(near)
+    return frf.at(np.asarray(keep)) if np.count_nonzero(keep) >= 24 else frf
+
+
+def noise_from_smoothness(frequency: NDArray, h: NDArray) -> NDArray[np.float64]:
+    """Variance of each value, shape (rows, n_f), from the fourth differences of neighbours, which smooth FRFs lack.
+
+    The local median over 41 lines is used, so that a resonance of a few lines does not count as noise.
+    """
+    from scipy.ndimage import median_filter
+
+    if frequency.size < 12:
+        return np.full(h.shape, (0.01 * np.abs(h).max()) ** 2)
+    weights = np.array([1.0, -4, 6, -4, 1])
+    rough = np.abs(np.apply_along_axis(lambda row: np.convolve(row, weights, "same"), -1, h)) ** 2 / 70.0
+    rough[:, :2], rough[:, -2:] = rough[:, 2:3], rough[:, -3:-2]
+    local = np.stack([median_filter(row, min(41, row.size // 2 * 2 - 1), mode="nearest") for row in rough]) / np.log(2)
+    return np.maximum(local, (1e-5 * np.abs(h)) ** 2 + 1e-300)
+
+
+# -------------------------------------------------------------------- clipping
+
+
+def clipping(x: NDArray) -> Clip:
+    """Whether samples pile up at both ends of a channel's range, where a signal's distribution thins out.
+
+    The share of samples in the outermost 0.5 % of the range is compared with the share in the 2 % inside it:
+    a signal with tails has fewer further out, a clipped one many more, and stays there for several samples.
+    """
+    top = float(np.max(np.abs(x - np.median(x))))
+    if top == 0 or x.size < 200:
+        return Clip(0.0, 0.0, 0.0)
+    z = (x - np.median(x)) / top
+    worst = Clip(0.0, 0.0, 0.0)
+    for sign in (1.0, -1.0):
+        edge = float(np.max(sign * z))
+        outer = sign * z > edge * 0.995
+        inner = (sign * z > edge * 0.975) & ~outer
+        n_outer, n_inner = int(outer.sum()), int(inner.sum())
+        runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], outer.astype(int), [0]]))))[::2]
+        longest = int(runs.max(initial=0))
+        share = n_outer / x.size
+        if n_outer >= 12 and n_outer > 1.5 * (n_inner + 4) and longest >= 2:
+            score = n_outer / (n_inner + 4)
+            if score > worst.score:
+                worst = Clip(share, edge * top, float(score))
+    return worst
+
+
+# -------------------------------------------------------------------- together
+
+
+def pool(observations: Sequence[Observation]) -> Frf:
+    """One Frf from several runs of the same channels: weighted means on shared lines, all lines together.
+
+    A scatter between runs beyond their noise (remounts, level) is added to the variance.
+    """
+    first = observations[0].frf
+    names = [c.name for c in first.outputs]
+    for o in observations[1:]:
+        if [c.name for c in o.frf.outputs] != names or len(o.frf.inputs) != len(first.inputs):
+            raise ChannelError(f"{o.label}: its channels differ from those of {observations[0].label}")
+    if len(observations) == 1:
+        return first
+    step = np.min(np.concatenate([np.diff(o.frf.frequency) for o in observations])) * 0.25
+    keys = [np.round(o.frf.frequency / step).astype(int) for o in observations]
+    union = np.unique(np.concatenate(keys))
+    shape = (*first.value.shape[:2], union.size)
+    weight, total = np.zeros(shape), np.zeros(shape, complex)
+    square, count = np.zeros(shape), np.zeros(union.size)
+    where = [np.searchsorted(union, k) for k in keys]
+    frequency = np.zeros(union.size)
+    for o, at in zip(observations, where, strict=True):
+        assert o.frf.variance is not None
+        w = 1.0 / np.maximum(o.frf.variance, 1e-300)
+        weight[..., at] += w
+        total[..., at] += w * o.frf.value
+        square[..., at] += w * np.abs(o.frf.value) ** 2
+        count[at] += 1
+        frequency[at] = o.frf.frequency
+    mean = total / weight
+    spread = np.maximum(square / weight - np.abs(mean) ** 2, 0)
+    between = np.where(count > 1, spread / np.maximum(count - 1, 1), 0.0)
+    variance = np.maximum(1.0 / weight, between)
+    return replace(first, frequency=frequency, value=mean, variance=variance, coherence=None, input_spectrum=None,
+                   input_condition=None)  # fmt: skip

@@ -1,0 +1,188 @@
+"""Search over the catalogue: which terms are worth a full fit, by two cheap and exact-in-part scores.
+
+`grid_score`: from the nominal structure, with the resonances broadened so far that a shifted peak still overlaps
+its old place, the objective of every term on a grid of sizes, the model's ordinary errors profiled out.
+`direction_score`: at the fitted base, on the lines themselves, how much of the objective a small step along each
+term's signature removes (the score test, projected off the parameters and errors).
+The first finds gross faults, the second faint ones; both keep the best of each place and mechanism.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point, sweep
+from labnnum.diagnosis.fit import Data, Problem, Scatter
+from labnnum.mechanisms.base import Term
+
+
+@dataclass(frozen=True, eq=False)
+class Lead:
+    """A term worth a full fit, from parameters `start`, with the gain in the objective that the score promised."""
+
+    term: Term
+    start: NDArray[np.float64]
+    gain: float
+
+
+class Profile:
+    """The objective about one point with every ordinary error profiled out linearly."""
+
+    def __init__(self, engine: Engine, data: Data, scatter: Scatter, x: NDArray, terms: Sequence[Term] = ()) -> None:
+        self.problem = Problem(engine, data, terms, scatter)
+        self.x = x
+        r, b, j = self.problem._parts(x, jacobian=True)
+        assert j is not None
+        gram = np.matmul(b.transpose(0, 2, 1), b) + np.eye(b.shape[2])
+        lower = np.linalg.cholesky(gram)
+        self.u = np.matmul(b, np.linalg.inv(lower).transpose(0, 2, 1))  # rows, 2f, nb
+        self.j = j - np.matmul(self.u, np.matmul(self.u.transpose(0, 2, 1), j))
+        prior = 1.0 / self.problem.std**2
+        a = np.matmul(j.transpose(0, 2, 1), self.j).sum(0) + np.diag(prior)
+        scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
+        self.scale = scale
+        self.a_inverse = np.linalg.inv(a / np.outer(scale, scale) + 1e-12 * np.eye(scale.size))
+        self.pull = -prior * (x - self.problem.mean)
+        self.r = r
+        self.constant = float(np.sum(prior * (x - self.problem.mean) ** 2))
+
+    def rows(self, value: NDArray) -> NDArray[np.float64]:
+        """Complex (n, o, i, f) to whitened real (rows, n, 2 f)."""
+        a = value * (self.problem.root2 / self.problem.data.sigma)
+        a = a.reshape(a.shape[0], -1, a.shape[-1])
+        return np.moveaxis(np.concatenate([a.real, a.imag], axis=-1), 0, 1)
+
+    def project(self, r: NDArray) -> tuple[NDArray, NDArray]:
+        """u-part removed (rows, n, 2 f) and the gradient to the explicit errors (n, n_x)."""
+        free = r - np.matmul(np.matmul(r, self.u), self.u.transpose(0, 2, 1))
+        return free, np.matmul(r, self.j).sum(0)
+
+    def objective(self, r: NDArray) -> NDArray[np.float64]:
+        """Profiled objective of residuals r (rows, n, 2 f), shape (n,)."""
+        free, g = self.project(r)
+        g = (g + self.pull) / self.scale
+        return np.einsum("rnf,rnf->n", r, free) + self.constant - np.einsum("nx,xy,ny->n", g, self.a_inverse, g)
+
+    def gains(self, directions: NDArray) -> tuple[NDArray, NDArray]:
+        """Gain of the best step along each direction (rows, n, 2 f), and the step, shapes (n,)."""
+        free, g = self.project(directions)
+        g = g / self.scale
+        _, g0 = self.project(self.r[:, None])
+        g0 = (g0[0] + self.pull) / self.scale
+        size = np.einsum("rnf,rnf->n", directions, free) - np.einsum("nx,xy,ny->n", g, self.a_inverse, g)
+        along = np.einsum("rf,rnf->n", self.r, free) - g @ self.a_inverse @ g0
+        scale = np.einsum("rnf,rnf->n", directions, directions)
+        ok = size > 1e-9 * np.maximum(scale, 1e-300)
+        step = np.where(ok, along / np.where(ok, size, 1.0), 0.0)
+        return np.where(ok, along * step, 0.0), step
+
+
+def broaden(engine: Engine, data: Data, point: Point, terms: Sequence[Term], kappa: float, n: int = 120) -> Data:
+    """The data with every resonance broadened to a relative half-width `kappa`, on `n` logarithmic lines.
+
+    H(sigma + i omega) is the Poisson integral of H(i nu); it is applied to the difference from the model at `point`,
+    which dies out at the ends of the band, and the model there is evaluated exactly. How far the sum over the lines
+    misses the model's own integral goes into `sigma`.
+    """
+    nu = data.s.imag
+    omega = np.geomspace(nu[0] if nu[0] > 0 else nu[1], nu[-1], n)
+    model = engine.response(point, terms, data.s).value
+    weight = np.gradient(nu)
+    half = kappa * omega[:, None]
+    kernel = half / np.pi / (half**2 + (omega[:, None] - nu) ** 2) * weight
+    mirror = half / np.pi / (half**2 + (omega[:, None] + nu) ** 2) * weight
+    s = omega * (1j + kappa) + data.s.real.mean()
+    exact = engine.response(point, terms, s).value
+    value = exact + (data.value - model) @ kernel.T + np.conj(data.value - model) @ mirror.T
+    quadrature = np.abs(model @ kernel.T + np.conj(model) @ mirror.T - exact)
+    noise = np.sqrt(data.sigma**2 @ (kernel.T**2))
+    size = np.maximum(np.abs(value), np.abs(exact))
+    typical = np.median(size, axis=2, keepdims=True)
+    sigma = np.sqrt(noise**2 + quadrature**2 + (0.01 * size) ** 2 + (0.003 * typical) ** 2)
+    return Data(s, value, sigma)
+
+
+def grid_score(
+    engine: Engine, data: Data, scatter: Scatter, terms: Sequence[Term], x: NDArray, held: Sequence[Term] = ()
+) -> list[Lead]:
+    """Best start and gain of every term on its grid, about `x` of the model with `held` (see the module's text)."""
+    profile = Profile(engine, data, scatter, x, held)
+    point = profile.problem.start.with_vector(x)
+    base = float(profile.objective(profile.r[:, None])[0])
+    leads = []
+    for term in terms:
+        if term.data.get("extra_mode"):
+            leads.append(_mode_lead(engine, profile, term, data, point, held))
+            continue
+        value = sweep(engine, point, term, term.starts, data.s, held)
+        objective = profile.objective(profile.rows(data.value[None] - value))
+        best = int(np.argmin(objective))
+        leads.append(Lead(term, term.starts[best], base - float(objective[best])))
+    return leads
+
+
+def direction_score(
+    engine: Engine, data: Data, scatter: Scatter, terms: Sequence[Term], x: NDArray, held: Sequence[Term] = ()
+) -> list[Lead]:
+    """Best start and gain of every term by the projected score test at the fitted `x` of the model with `held`."""
+    profile = Profile(engine, data, scatter, x, held)
+    point = profile.problem.start.with_vector(x)
+    plain = engine.response(point, held, data.s).value
+    leads = []
+    for term in terms:
+        if term.data.get("extra_mode"):
+            leads.append(_mode_lead(engine, profile, term, data, point, held))
+            continue
+        value = sweep(engine, point, term, term.starts, data.s, held)
+        gain, step = profile.gains(profile.rows(value - plain))
+        gain = np.where(step > (0.0 if term.n else 0.3), gain, 0.0)
+        best = int(np.argmax(gain))
+        start = term.starts[best].copy()
+        if term.n:
+            first = term.parameters[0]
+            start[0] = np.clip(start[0] * min(max(step[best], 1e-3), 3.0), first.lower, first.upper)
+        leads.append(Lead(term, start, float(gain[best])))
+    return leads
+
+
+def _mode_lead(engine: Engine, profile: Profile, term: Term, data: Data, point: Point, held: Sequence[Term]) -> Lead:
+    """An added mode: its residues follow linearly at each trial frequency, row by row."""
+    free = profile.r - np.einsum("rfn,rn->rf", profile.u, np.einsum("rfn,rf->rn", profile.u, profile.r))
+    lift = engine.response(point, held, data.s, modal=True).lift
+    n_o = len(engine.outputs)
+    best, start = -1.0, term.starts[0].copy()
+    for p in term.starts:
+        w = 2 * np.pi * p[0]
+        d = 1.0 / (w**2 + 2 * p[1] * w * data.s + data.s**2)
+        column = profile.rows((d * lift)[None])[:, 0]
+        size = np.einsum("rf,rf->r", column, column)
+        step = np.einsum("rf,rf->r", column, free) / size
+        inner = np.einsum("rfn,rf->rn", profile.u, column)
+        real = np.maximum(size - np.einsum("rn,rn->r", inner, inner), 1e-9 * size)
+        along = np.einsum("rf,rf->r", column, free)
+        gain = float(np.sum(along**2 / real))
+        if gain > best:
+            best = gain
+            start = p.copy()
+            start[2:] = step.reshape(n_o, -1).mean(axis=1)
+    return Lead(term, start, best - 4.0 * n_o)
+
+
+def shortlist(leads: Sequence[Lead], n: int) -> list[Lead]:
+    """The `n` best, at most one per mechanism, place and variant, and the best of each mechanism within reach."""
+    ordered = sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n))
+    out: list[Lead] = []
+    mechanisms: dict[str, int] = {}
+    for lead in ordered:
+        count = mechanisms.get(lead.term.mechanism.id, 0)
+        if lead.gain <= 3.0 * lead.term.n or count >= max(3, n // 3):
+            continue
+        mechanisms[lead.term.mechanism.id] = count + 1
+        out.append(lead)
+        if len(out) == n:
+            break
+    return out

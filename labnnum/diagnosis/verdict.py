@@ -1,0 +1,129 @@
+"""What a diagnosis answers: the verdict, and everything that supports it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.mechanisms.base import Place, Term
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Thresholds on gains of the objective (chi-squares); set on nulls, see `docs/diagnosis.md`.
+
+    `alarm`: gain of the best term above which a sound structure is doubted. `name`: lead of the best name over the
+    best of another name or place. `further`: gain of a second or third mechanism, and `share` the least part of the
+    total gain that it must make. `parameter`: price of one more parameter. `behind`: how far a named term may stay
+    behind the general local law, as a share of the total gain. `misfit`: objective per value above which nothing is
+    called explained. `improve`: part of the base's held-out error that the extended model must fall below.
+    """
+
+    alarm: float = 40.0
+    name: float = 8.0
+    further: float = 40.0
+    share: float = 0.02
+    parameter: float = 4.0
+    behind: float = 0.01
+    misfit: float = 3.0
+    improve: float = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """A mechanism at a place with its estimated parameters."""
+
+    term: Term
+    value: NDArray[np.float64]
+    std: NDArray[np.float64]
+    confidence: float
+
+    @property
+    def place(self) -> Place:
+        """Where."""
+        return self.term.place
+
+    def as_dict(self) -> dict[str, Any]:
+        """The `mechanism` object of diagnosis.json."""
+        parameters = {
+            p.name: {"value": float(v), "std": float(s), "unit": p.unit}
+            for p, v, s in zip(self.term.parameters, self.value, self.std, strict=True)
+        }
+        sense = self.term.mechanism.sense(self.term, self.value)
+        return {
+            "id": self.term.mechanism.id,
+            "sense": sense,
+            "confidence": round(float(self.confidence), 4),
+            "parameters": parameters,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """A candidate that lost, and why."""
+
+    term: Term
+    held_out_error: float
+    objective: float
+    why_not: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `alternatives`."""
+        return {
+            "place": self.term.place.as_dict(),
+            "mechanism": self.term.mechanism.id,
+            "held_out_error": _finite(self.held_out_error),
+            "why_not": self.why_not,
+        }
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Verdict, place, mechanisms, losers, location, errors before and after, and the next experiment."""
+
+    verdict: str
+    named: tuple[Named, ...]
+    place: Place | None
+    alternatives: tuple[Alternative, ...]
+    located: tuple[tuple[Place, float], ...]
+    chance: float
+    base_error: tuple[float, float]
+    extended_error: tuple[float, float]
+    noise_floor: float
+    nonlinear: dict[str, Any]
+    next_experiment: str
+    summary: str
+    theta: NDArray[np.float64]
+    theta_std: NDArray[np.float64]
+    damping: NDArray[np.float64]
+    detail: dict[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of diagnosis.json, schema 1."""
+        first = self.named[0] if self.named else None
+        return {
+            "schema": 1,
+            "verdict": self.verdict,
+            "place": self.place.as_dict() if self.place else None,
+            "mechanism": first.as_dict() if first else None,
+            "further": [{"place": n.place.as_dict(), "mechanism": n.as_dict()} for n in self.named[1:]],
+            "alternatives": [a.as_dict() for a in self.alternatives],
+            "located": [{"place": p.as_dict(), "share": round(float(s), 4)} for p, s in self.located],
+            "chance_share": round(float(self.chance), 4),
+            "fit": {
+                "metric": "relative RMS error of the response, held out",
+                "base": {"train": _finite(self.base_error[0]), "held_out": _finite(self.base_error[1])},
+                "extended": {"train": _finite(self.extended_error[0]), "held_out": _finite(self.extended_error[1])},
+                "noise_floor": _finite(self.noise_floor),
+            },
+            "nonlinear": self.nonlinear,
+            "next_experiment": self.next_experiment,
+            "summary": self.summary,
+        }

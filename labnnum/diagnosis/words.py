@@ -1,0 +1,67 @@
+"""The diagnosis in words that a technician follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.verdict import Diagnosis
+
+
+def summarise(d: Diagnosis) -> str:
+    """One paragraph: verdict, place, mechanism with its parameters, and what the fit gained."""
+    if d.verdict == "consistent":
+        return (
+            f"The nominal model explains the data to {_percent(d.base_error[1])} on data held out; nothing is missing."
+        )
+    if d.verdict == "parameters":
+        return (
+            f"With its parameters updated the model explains the data to {_percent(d.base_error[1])} on data held out;"
+            " no physics is missing."
+        )
+    if d.verdict == "unexplained":
+        where = f" at {d.place}" if d.place else ""
+        why = d.detail.get("reason") or "no mechanism of the catalogue explains it"
+        return f"Something is missing{where}, and the data do not give it a name: {why}."
+    parts = []
+    for n in d.named:
+        sense = n.term.mechanism.sense(n.term, n.value)
+        values = ", ".join(
+            f"{p.name} {v:.4g} ± {s:.2g} {p.unit if p.unit != '1' else ''}".strip()
+            for p, v, s in zip(n.term.parameters, n.value, n.std, strict=True)
+        )
+        named = n.term.mechanism.id + (f" ({sense})" if sense else "")
+        parts.append(f"{named} at {n.place}" + (f": {values}" if values else ""))
+    return (
+        f"{'; and '.join(parts)}. The held-out error falls from {_percent(d.base_error[1])} to"
+        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)})."
+    )
+
+
+def _percent(x: float) -> str:
+    return f"{100 * x:.3g} %"
+
+
+def next_experiment(d: Diagnosis, observations: Sequence[Observation]) -> str:
+    """What to measure next; empty only when the verdict is certain."""
+    levels = {round(o.level, 12) for o in observations}
+    if d.verdict in ("consistent", "parameters"):
+        if len(levels) < 2:
+            return "One level cannot tell linear from nonlinear: repeat at two and at four times the level."
+        return ""
+    if d.verdict == "unexplained":
+        rivals = [f"{a.term.mechanism.id} at {a.term.place}" for a in d.alternatives[:2]]
+        if d.place is not None and d.place.kind != "channel":
+            between = f" to tell {' from '.join(rivals)}" if len(rivals) == 2 else ""
+            return f"Add a sensor at {d.place}{between}, and repeat at two further levels."
+        return "Exchange the cable and the transducer of that channel and repeat."
+    first = d.named[0]
+    if first.term.mechanism.domain == "channel":
+        return (
+            f"Exchange the transducer and cable of {first.place} and repeat: the fault moves with them if it is theirs."
+        )
+    if first.confidence < 0.95 and d.alternatives:
+        a = d.alternatives[0]
+        rival = f"{a.term.mechanism.id} at {a.term.place}"
+        return f"Add a sensor at {first.place}: it tells {first.term.mechanism.id} from {rival}."
+    return ""

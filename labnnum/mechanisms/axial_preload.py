@@ -1,0 +1,87 @@
+"""axial-preload: tension or compression along the structure (geometric stiffness)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from labnnum.mechanisms.base import TRANSLATIONS, Mechanism, Place, Site, Term, scalar_term
+from labnnum.mechanisms.geometry import AXES, dof_rows
+from labnnum.mechanisms.laws import Spring
+
+
+@final
+@dataclass(frozen=True)
+class AxialPreload(Mechanism):
+    """K += T K_G, K_G the consistent geometric stiffness of the elements in line."""
+
+    id = "axial-preload"
+    title = "tension or compression along the structure"
+    equation = "f = T K_G u"
+    shows = "low modes shift most, their shapes kept"
+    told_apart = "support-compliance lowers only, and bends the shapes at the clamp"
+    symbol = "arrows along the axis"
+    reference = "Przemieniecki (1968), section 15.2"
+
+    def terms(self, site: Site) -> Iterable[Term]:
+        """The whole line of elements at once, where nodes have coordinates."""
+        total = np.zeros_like(site.stiffness)
+        for a, b in site.elements:
+            part = geometric_stiffness(site, a, b)
+            if part is not None:
+                total += part
+        value, vector = np.linalg.eigh(total)
+        keep = value > 1e-9 * max(value.max(initial=0.0), 1e-300)
+        if not keep.any() or value.max() <= 0:
+            return
+        columns = vector[:, keep] * np.sqrt(value[keep])
+        law = Spring(("tension",), ("N",))
+        term = scalar_term(self, site, Place("global", "structure"), law, columns, positive=False)
+        if term is not None:
+            yield term
+
+    def sense(self, term: Term, p: np.ndarray) -> str | None:
+        """Either "tension" or "compression"."""
+        return "tension" if p[0] >= 0 else "compression"
+
+
+def geometric_stiffness(site: Site, a: str, b: str) -> np.ndarray | None:
+    """Geometric stiffness (n, n) of a straight beam element under unit tension; a string without rotations."""
+    if a not in site.nodes or b not in site.nodes:
+        return None
+    arm = np.array(site.nodes[b], float) - np.array(site.nodes[a], float)
+    length = float(np.linalg.norm(arm))
+    if length == 0:
+        return None
+    axis = arm / length
+    ra, rb = dof_rows(site, a), dof_rows(site, b)
+    out = np.zeros_like(site.stiffness)
+    for i, along in enumerate(TRANSLATIONS):
+        across = np.eye(3)[i] - axis[i] * axis
+        if np.linalg.norm(across) < 0.99:
+            continue
+        turn = np.cross(np.eye(3)[i], axis)  # rotation w/ slope du_i/ds = -turn . theta
+        spin = AXES[3 + int(np.argmax(np.abs(turn)))]
+        sign = -float(turn[int(np.argmax(np.abs(turn)))])
+        entries = [(ra.get(along), 0, 1.0), (ra.get(spin), 1, sign), (rb.get(along), 2, 1.0), (rb.get(spin), 3, sign)]
+        has_turn = ra.get(spin) is not None or rb.get(spin) is not None
+        if has_turn:
+            k = np.array(
+                [
+                    [36, 3 * length, -36, 3 * length],
+                    [3 * length, 4 * length**2, -3 * length, -(length**2)],
+                    [-36, -3 * length, 36, -3 * length],
+                    [3 * length, -(length**2), -3 * length, 4 * length**2],
+                ]
+            ) / (30 * length)
+        else:
+            k = np.zeros((4, 4))
+            k[np.ix_([0, 2], [0, 2])] = np.array([[1, -1], [-1, 1]]) / length
+        for row, i1, s1 in entries:
+            for column, i2, s2 in entries:
+                if row is not None and column is not None:
+                    out[row, column] += s1 * s2 * k[i1, i2]
+    return out

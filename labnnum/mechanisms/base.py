@@ -1,0 +1,251 @@
+"""Mechanism: a term of missing physics; Place: where it may act; Term: one mechanism bound to one place.
+
+A linear mechanism says which motions it acts on (columns) and by which scalar law; a channel mechanism by which
+factor it changes a channel; a modal mechanism how it changes or adds a mode. With its parameters at zero each
+exerts exactly nothing, so models nest and before and after compare fairly.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.mechanisms.laws import Law
+from labnnum.parameters import Parameter
+
+PlaceKind = Literal["node", "element", "joint", "ground", "support", "channel", "global", "system"]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where something acts: a node, the element or joint between two nodes, a support, a channel, or all of it."""
+
+    kind: PlaceKind
+    id: str
+    to: str | None = None
+
+    def as_dict(self) -> dict[str, str | None]:
+        """As `diagnosis.json` holds it."""
+        return {"kind": self.kind, "id": self.id, "to": self.to}
+
+    def __str__(self) -> str:
+        if self.kind in ("global", "system"):
+            return "the whole structure"
+        return f"{self.kind} {self.id}" + (f"-{self.to}" if self.to is not None else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Columns of motion that share one law and its parameters."""
+
+    law: Law
+    columns: NDArray[np.float64]
+    """Shape (n, k): the motions wᵀu that the law acts on."""
+
+    first: int
+    """Number of the law's first parameter among the term's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One mechanism at one place of one structure, with its parameters' priors.
+
+    `starts`, shape (n_starts, n_parameters), is where a search over the parameters begins: from barely visible to
+    gross.
+    """
+
+    mechanism: Mechanism
+    place: Place
+    parameters: tuple[Parameter, ...]
+    starts: NDArray[np.float64]
+    groups: tuple[Group, ...] = ()
+    variant: str = ""
+    data: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    @property
+    def columns(self) -> NDArray[np.float64]:
+        """All groups' columns side by side, shape (n_coordinates, k)."""
+        return np.hstack([g.columns for g in self.groups])
+
+    def stiffness(self, s: NDArray, p: NDArray) -> NDArray[np.complex128]:
+        """Dynamic stiffness between the columns, shape (k, k, n_f)."""
+        out = np.zeros((self.width, self.width, s.size), complex)
+        at = 0
+        for g in self.groups:
+            width = g.columns.shape[1]
+            out[at : at + width, at : at + width] = _spread(
+                g.law.value(s, p[g.first : g.first + len(g.law.names)]), width
+            )
+            at += width
+        return out
+
+    def stiffness_derivative(self, s: NDArray, p: NDArray) -> NDArray[np.complex128]:
+        """Derivative of `stiffness` to each parameter, shape (n_parameters, k, k, n_f)."""
+        out = np.zeros((self.n, self.width, self.width, s.size), complex)
+        at = 0
+        for g in self.groups:
+            width = g.columns.shape[1]
+            d = g.law.derivative(s, p[g.first : g.first + len(g.law.names)])
+            for i in range(d.shape[0]):
+                out[g.first + i, at : at + width, at : at + width] += _spread(d[i], width)
+            at += width
+        return out
+
+    @property
+    def width(self) -> int:
+        """Number of columns, k."""
+        return sum(g.columns.shape[1] for g in self.groups)
+
+    @property
+    def inertial(self) -> NDArray[np.bool_]:
+        """Columns that act on absolute motion, shape (k,)."""
+        return np.array([g.law.inertial for g in self.groups for _ in range(g.columns.shape[1])], bool)
+
+
+def _spread(g: NDArray, width: int) -> NDArray:
+    """A scalar law (n_f,) on each of its columns; a matrix law (k, k, n_f) as it is."""
+    return g if g.ndim == 3 else np.eye(width)[:, :, None] * g
+
+
+class Mechanism(ABC):
+    """A kind of missing physics: its equation, where it can act, and how it shows."""
+
+    id: str
+    domain: Literal["linear", "channel", "modal", "nonlinear"] = "linear"
+    title: str
+    equation: str
+    shows: str
+    told_apart: str
+    symbol: str
+    reference: str
+
+    @abstractmethod
+    def terms(self, site: Site) -> Iterable[Term]:
+        """Every way in which the mechanism can act on the structure of `site`, one Term each."""
+
+    def sense(self, term: Term, p: NDArray) -> str | None:
+        """A word for the sign of the parameters, such as "loss" or "hardening"; None where there is none."""
+        return None
+
+
+class ChannelMechanism(Mechanism):
+    """A fault of the measurement chain: a factor on one channel."""
+
+    domain = "channel"
+
+    @abstractmethod
+    def factor(self, s: NDArray, p: NDArray) -> NDArray[np.complex128]:
+        """Factor on the channel, shape (n_f,); 1 with all parameters zero."""
+
+    @abstractmethod
+    def factor_derivative(self, s: NDArray, p: NDArray) -> NDArray[np.complex128]:
+        """Its derivative to each parameter, shape (n_parameters, n_f)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """What mechanisms need to know of the structure: coordinates, stiffness, geometry, where they may act.
+
+    Parameters
+    ----------
+    mass, stiffness : ndarray, shape (n, n)
+        At the nominal parameters.
+    dofs : dict
+        "node:direction" -> row, shape (n,).
+    nodes : dict
+        Node -> xyz; may be empty.
+    free_nodes : tuple of str
+        Nodes where mechanisms may act.
+    elements : tuple of (str, str)
+        Node pairs where mechanisms may act.
+    supports : tuple of str
+    channels : tuple of Channel
+        Outputs then inputs.
+    omega : ndarray, shape (m,)
+        Natural frequencies in the measured band, in rad/s (rigid-body modes left out).
+    shape : ndarray, shape (n, m)
+        Their mass-normalised shapes.
+    rigid : ndarray, shape (n,), or None
+        Influence of base motion.
+    drive : tuple of str
+        Degrees of freedom where force is put in.
+    """
+
+    mass: NDArray
+    stiffness: NDArray
+    dofs: dict[str, NDArray]
+    nodes: dict[str, tuple[float, float, float]]
+    free_nodes: tuple[str, ...]
+    elements: tuple[tuple[str, str], ...]
+    supports: tuple[str, ...]
+    channels: tuple[Any, ...]
+    n_outputs: int
+    omega: NDArray
+    shape: NDArray
+    rigid: NDArray | None
+    drive: tuple[str, ...]
+
+    def rows(self, node: str, directions: tuple[str, ...]) -> NDArray[np.float64]:
+        """Columns (n, k) of the node's degrees of freedom in `directions` that exist."""
+        found = [self.dofs[f"{node}:{d}"] for d in directions if f"{node}:{d}" in self.dofs]
+        return np.array(found).T.reshape(self.mass.shape[0], -1)
+
+    def scale(self, law: Law, columns: NDArray, p: NDArray, which: int) -> float:
+        """Parameter step that changes some mode's squared frequency (or damping term) by 100 % at first order."""
+        energy = ((columns.T @ self.shape) ** 2).sum(axis=0)
+        slope = np.abs(law.derivative(1j * self.omega, p)[which])
+        most = float(np.max(energy * slope / self.omega**2, initial=0.0))
+        return 1.0 / most if most > 0 else np.inf
+
+
+TRANSLATIONS = ("x", "y", "z")
+ROTATIONS = ("rx", "ry", "rz")
+
+
+SIZES = np.array([0.003, 0.01, 0.03, 0.1, 0.3, 1.0])
+"""Relative changes of a mode's squared frequency that a search starts from."""
+
+
+def signed(sizes: NDArray, *, positive: bool) -> NDArray[np.float64]:
+    """`sizes`, and their negatives too unless `positive`."""
+    return sizes if positive else np.concatenate([sizes, -sizes])
+
+
+def amount(name: str, unit: str, scale: float, *, positive: bool = True, lower: float | None = None) -> Parameter:
+    """A parameter that is zero where nothing is missing; `scale` of it changes a mode by its own size."""
+    top = 30.0 * scale
+    low = lower if lower is not None else (0.0 if positive else -top)
+    return Parameter(name, 0.0, low, top, unit)
+
+
+def scalar_term(
+    mechanism: Mechanism,
+    site: Site,
+    place: Place,
+    law: Law,
+    columns: NDArray,
+    *,
+    positive: bool = True,
+    lower: float | None = None,
+    variant: str = "",
+) -> Term | None:
+    """Term of a law with one parameter acting on `columns`; None if no mode in the band moves there."""
+    if columns.size == 0:
+        return None
+    scale = site.scale(law, columns, np.zeros(1), 0)
+    if not np.isfinite(scale):
+        return None
+    parameter = amount(law.names[0], law.units[0], scale, positive=positive, lower=lower)
+    starts = scale * signed(SIZES, positive=positive)[:, None]
+    starts = starts[(starts[:, 0] > parameter.lower) | (parameter.lower == 0)]
+    return Term(mechanism, place, (parameter,), starts, (Group(law, columns, 0),), variant)

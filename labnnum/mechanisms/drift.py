@@ -1,0 +1,27 @@
+"""drift: a structure that changes while it is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+from labnnum.mechanisms.base import Mechanism, Site, Term
+
+
+@final
+@dataclass(frozen=True)
+class Drift(Mechanism):
+    """k(t) = k (1 + d t / T): all stiffness changes by the fraction d over a run."""
+
+    id = "drift"
+    title = "stiffness changes during the run"
+    equation = "k(t) = k (1 + d t / T)"
+    shows = "the second half of a run differs from the first by more than noise"
+    told_apart = "noise differs from period to period without direction"
+    symbol = "clock"
+    reference = "Pintelon and Schoukens (2012), chapter 6"
+
+    def terms(self, site: Site) -> Iterable[Term]:
+        """None: it is judged before the fit, see `labnnum.diagnosis.gates`."""
+        return ()

@@ -1,0 +1,313 @@
+"""A structure with mechanisms added: a first-class structure, whose mechanisms' parameters update like any others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.errors import ConfigError, ModelError
+from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Site, Term
+from labnnum.mechanisms.geometry import touching
+from labnnum.parameters import Parameter
+from labnnum.recording import Channel
+from labnnum.structures.base import Matrices, Structure
+
+
+@dataclass(frozen=True, eq=False)
+class Added:
+    """A term with the values that its parameters start from."""
+
+    term: Term
+    parameters: tuple[Parameter, ...]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ExtendedStructure(Structure):
+    """`inner` with `added` mechanisms; theta is the inner structure's, then each mechanism's.
+
+    Coordinates are the inner ones, then one for each internal motion of a mechanism. `trim` shifts the inner
+    structure's natural frequencies by relative amounts, mode by mode about its nominal modes.
+    """
+
+    inner: Structure
+    added: tuple[Added, ...]
+    trim: tuple[float, ...] = ()
+    outputs: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def _own(self) -> tuple[Parameter, ...]:
+        return tuple(p for a in self.added for p in a.parameters)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The inner structure's parameters, then the mechanisms'."""
+        return self.inner.parameters + self._own
+
+    @property
+    def dofs(self) -> tuple[str, ...]:
+        """The inner structure's: internal motions cannot be measured."""
+        return self.inner.dofs
+
+    @property
+    def nodes(self) -> Mapping[str, tuple[float, float, float]]:
+        """The inner structure's."""
+        return self.inner.nodes
+
+    @property
+    def elements(self) -> tuple[tuple[str, str], ...]:
+        """The inner structure's."""
+        return self.inner.elements
+
+    @property
+    def supports(self) -> tuple[str, ...]:
+        """The inner structure's."""
+        return self.inner.supports
+
+    @property
+    def base(self) -> str:
+        """The inner structure's."""
+        return self.inner.base
+
+    def _split(self, theta: NDArray) -> tuple[NDArray, list[NDArray]]:
+        n = len(self.inner.parameters)
+        cuts = n + np.cumsum([0, *(a.term.n for a in self.added)])
+        return theta[:n], [theta[a:b] for a, b in pairwise(cuts)]
+
+    @cached_property
+    def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray]:
+        from scipy.linalg import eigh
+
+        m = self.inner.matrices(self.inner.nominal)
+        value, shape = eigh(np.real(m.K), np.real(m.M))
+        return np.sqrt(np.maximum(value, 0)), shape, np.real(m.M) @ shape
+
+    def matrices(self, theta: NDArray) -> Matrices:
+        """The inner matrices with every mechanism's share, internal coordinates appended."""
+        own, parts = self._split(np.asarray(theta))
+        base = self.inner.matrices(own)
+        blocks = [np.array(a, dtype=np.result_type(a, theta)) for a in (base.M, base.C, base.K, base.D)]
+        if any(self.trim):
+            self._trimmed(blocks)
+        for added, p in zip(self.added, parts, strict=True):
+            if added.term.data.get("shear"):
+                self._sheared(blocks, p[0])
+            elif added.term.data.get("extra_mode"):
+                blocks = self._extra_mode(blocks, p)
+            for group in added.term.groups:
+                q = p[group.first : group.first + len(group.law.names)]
+                blocks = _attach(blocks, group.law.local(q), group.columns, group.law.n_internal)
+        return Matrices(*blocks)
+
+    def _trimmed(self, blocks: list[NDArray]) -> None:
+        omega, _, loads = self._nominal_modes
+        n = len(self.trim)
+        change = omega[:n] ** 2 * ((1 + np.array(self.trim)) ** 2 - 1)
+        blocks[2] += (loads[:, :n] * change) @ loads[:, :n].T
+
+    def _sheared(self, blocks: list[NDArray], time: Any) -> None:
+        omega, _, loads = self._nominal_modes
+        change = omega**2 / (1 + 2 * time * omega) - omega**2
+        blocks[2] += (loads * change) @ loads.T
+
+    def _extra_mode(self, blocks: list[NDArray], p: NDArray) -> list[NDArray]:
+        w = 2 * np.pi * p[0]
+        zero = np.zeros((blocks[0].shape[0], 1))
+        values = (1.0, 2 * p[1] * w, w**2, 0.0)
+        return [np.block([[b, zero], [zero.T, np.array([[v]])]]) for b, v in zip(blocks, values, strict=True)]
+
+    def _internal(self) -> list[tuple[Added, int]]:
+        """Each mechanism with the number of coordinates that it appends."""
+        out = []
+        for a in self.added:
+            n = sum(g.law.n_internal * g.columns.shape[1] for g in a.term.groups)
+            out.append((a, n + (1 if a.term.data.get("extra_mode") else 0)))
+        return out
+
+    def participation(self, dof: str, theta: NDArray) -> NDArray:
+        """The inner row; internal coordinates are not seen, save the residue of an added mode at a sensor."""
+        own, parts = self._split(np.asarray(theta))
+        row = [np.asarray(self.inner.participation(dof, own))]
+        for (added, n), p in zip(self._internal(), parts, strict=True):
+            tail = np.zeros(n, np.result_type(p))
+            if added.term.data.get("extra_mode"):
+                tail[-1] = self._residue(added, p, dof)
+            row.append(tail)
+        return np.concatenate(row)
+
+    def _residue(self, added: Added, p: NDArray, dof: str) -> Any:
+        places = added.term.data.get("dofs", ())
+        if dof in places:
+            return p[2 + places.index(dof)]
+        return 1.0 if dof in added.term.data.get("driven", ()) else 0.0
+
+    def rigid(self, theta: NDArray) -> NDArray:
+        """The inner structure's; internal motions follow their attachment."""
+        own, _ = self._split(np.asarray(theta))
+        inner = np.asarray(self.inner.rigid(own))
+        tail: list[Any] = []
+        for added, _n in self._internal():
+            for g in added.term.groups:
+                carried = g.columns.T @ inner[: g.columns.shape[0]] if g.law.inertial else np.zeros(g.columns.shape[1])
+                tail += [v for v in carried for _ in range(g.law.n_internal)]
+            if added.term.data.get("extra_mode"):
+                tail.append(-1.0)
+        return np.concatenate([inner, np.array(tail, dtype=inner.dtype)]) if tail else inner
+
+    def chain(self, channel: Channel, frequency: NDArray, theta: NDArray) -> NDArray[np.complex128]:
+        """Product of the channel faults on this channel."""
+        own, parts = self._split(np.asarray(theta))
+        out = self.inner.chain(channel, frequency, own)
+        for added, p in zip(self.added, parts, strict=True):
+            out = out * _factor(added, channel, frequency, p)
+        return out
+
+    def chain_derivatives(self, channel: Channel, frequency: NDArray, theta: NDArray) -> NDArray[np.complex128]:
+        """Derivative of `chain` to each parameter, shape (n_parameters, n_f)."""
+        own, parts = self._split(np.asarray(theta))
+        out = np.zeros((len(self.parameters), frequency.size), complex)
+        whole = self.chain(channel, frequency, theta)
+        n = len(self.inner.parameters)
+        out[:n] = self.inner.chain_derivatives(channel, frequency, own)
+        s = 2j * np.pi * np.asarray(frequency, float)
+        for added, p in zip(self.added, parts, strict=True):
+            mechanism = added.term.mechanism
+            if isinstance(mechanism, ChannelMechanism) and added.term.place.id == channel.name:
+                ratio = mechanism.factor_derivative(s, p) / mechanism.factor(s, p)
+                out[n : n + added.term.n] = whole * ratio
+            n += added.term.n
+        return out
+
+
+def _factor(added: Added, channel: Channel, frequency: NDArray, p: NDArray) -> NDArray[np.complex128]:
+    mechanism, place = added.term.mechanism, added.term.place
+    one = np.ones(np.shape(frequency), complex)
+    if place.kind != "channel" or place.id != channel.name:
+        return one
+    if isinstance(mechanism, ChannelMechanism):
+        return mechanism.factor(2j * np.pi * np.asarray(frequency, float), p)
+    return -one if added.term.variant == "inverted" else one
+
+
+def _attach(blocks: list[NDArray], local: Sequence[NDArray], columns: NDArray, n_internal: int) -> list[NDArray]:
+    """Add a law's local matrices at each of its columns, with its own internal coordinates a column."""
+    if local[0].shape[0] == columns.shape[1] and not n_internal and columns.shape[1] > 1 and local[2].shape[0] > 1:
+        return [
+            b + np.pad(columns @ m @ columns.T, (0, b.shape[0] - columns.shape[0]))
+            for b, m in zip(blocks, local, strict=True)
+        ]
+    for k in range(columns.shape[1]):
+        n = blocks[0].shape[0]
+        spread = np.zeros((n + n_internal, 1 + n_internal))
+        spread[: columns.shape[0], 0] = columns[:, k]
+        spread[n:, 1:] = np.eye(n_internal)
+        blocks = [np.pad(b, (0, n_internal)) + spread @ m @ spread.T for b, m in zip(blocks, local, strict=True)]
+    return blocks
+
+
+# -------------------------------------------------------------------- from a model file
+
+
+def site_of(
+    structure: Structure, channels: Sequence[Channel] = (), n_outputs: int = 0, drive: Sequence[str] = ()
+) -> Site:
+    """The site of a structure with every elastic mode in its band and all places open."""
+    from scipy.linalg import eigh
+
+    theta = structure.nominal
+    m = structure.matrices(theta)
+    mass, stiffness = np.real(m.M), np.real(m.K)
+    value, shape = eigh(stiffness, mass)
+    elastic = value > 1e-10 * value.max()
+    dofs = {d: np.real(structure.participation(d, theta)) for d in structure.dofs}
+    nodes = tuple(dict.fromkeys(d.split(":")[0] for d in structure.dofs))
+    rigid = np.real(structure.rigid(theta)) if structure.base else None
+    site = Site(
+        mass, stiffness, dofs, dict(structure.nodes), nodes, structure.elements, structure.supports, tuple(channels),
+        n_outputs, np.sqrt(value[elastic]), shape[:, elastic], rigid, tuple(drive),
+    )  # fmt: skip
+    return site if structure.elements else replace(site, elements=touching(site))
+
+
+def extend(structure: Structure, entries: Sequence[Mapping[str, Any]]) -> Structure:
+    """The structure with the mechanisms of a model file's [[mechanism]] entries.
+
+    Each entry has `id`, `place` (kind, id, to), `variant` where the mechanism has several, and `parameters`, name ->
+    value or {value, std}. The id "modal-trim" holds `shift`, relative changes of the natural frequencies by mode.
+
+    Raises
+    ------
+    ConfigError
+        If an id, place, variant or parameter is unknown; the message names it.
+    """
+    from labnnum.mechanisms import CATALOGUE
+
+    trim: tuple[float, ...] = ()
+    known = {m.id: m for m in CATALOGUE}
+    added = []
+    for entry in entries:
+        name = str(entry.get("id", ""))
+        if name == "modal-trim":
+            trim = tuple(float(v) for v in entry.get("shift", ()))
+            continue
+        if name not in known:
+            raise ConfigError(f"mechanism.id: {name!r} is not in the catalogue: {', '.join(known)}")
+        added.append(_added(structure, known[name], entry))
+    return ExtendedStructure(structure, tuple(added), trim)
+
+
+def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any]) -> Added:
+    place = Place(**{"kind": "global", "id": "structure", "to": None, **entry.get("place", {})})
+    values = {k: (v if isinstance(v, Mapping) else {"value": v}) for k, v in entry.get("parameters", {}).items()}
+    variant = str(entry.get("variant", ""))
+    term = _find(structure, mechanism, place, variant, entry, values)
+    parameters = []
+    for p in term.parameters:
+        if p.name not in values:
+            raise ConfigError(f"mechanism {mechanism.id!r}: parameter {p.name!r} is missing; give its value")
+        v = float(values[p.name]["value"])
+        reach = max(0.3 * abs(v), 6 * float(values[p.name].get("std", 0.0)), 1e-12)
+        low, high = max(p.lower, v - reach), min(p.upper, v + reach)
+        suffix = place.id if place.to is None else f"{place.id}-{place.to}"
+        parameters.append(Parameter(f"{p.name}@{suffix}", v, min(low, v - 1e-12), max(high, v + 1e-12), p.unit))
+    return Added(term, tuple(parameters))
+
+
+def _find(
+    structure: Structure, mechanism: Mechanism, place: Place, variant: str, entry: Mapping[str, Any], values: Mapping
+) -> Term:
+    if mechanism.domain == "channel":
+        parameters = tuple(
+            Parameter(k, float(v["value"]), -np.inf, np.inf, str(v.get("unit", "1"))) for k, v in values.items()
+        )
+        return Term(mechanism, place, parameters, np.zeros((0, len(parameters))), variant=variant)
+    if mechanism.id == "out-of-plane-mode":
+        parameters = tuple(
+            Parameter(k, float(v["value"]), -np.inf, np.inf, str(v.get("unit", "1"))) for k, v in values.items()
+        )
+        data = {"extra_mode": True, "dofs": tuple(entry.get("dofs", ())), "driven": tuple(entry.get("driven", ()))}
+        return Term(mechanism, place, parameters, np.zeros((0, len(parameters))), data=data)
+    if mechanism.id == "drift":
+        raise ConfigError(
+            "mechanism 'drift' changes a structure in time and cannot be part of a linear model; leave it out"
+        )
+    drive = (f"{place.id}:{variant}",) if mechanism.id == "exciter-coupling" else ()
+    try:
+        site = site_of(structure, drive=drive)
+    except ValueError as error:
+        raise ModelError(f"mechanisms cannot be added: {error}") from error
+    terms = [t for t in mechanism.terms(site) if t.place == place]
+    for term in terms:
+        if term.variant == variant:
+            return term
+    if not terms:
+        raise ConfigError(f"mechanism {mechanism.id!r} cannot act at {place}: the structure has no such place for it")
+    raise ConfigError(
+        f"mechanism {mechanism.id!r} at {place}: variant {variant!r} is none of {[t.variant for t in terms]}"
+    )

@@ -1,0 +1,91 @@
+"""The general local law: a smooth dynamic stiffness without a name, which says where and how well, not what.
+
+Linear in its coefficients over a basis of springs, dashpots, masses, losses and relaxations, it comes close to any
+passive local physics that varies smoothly in the band. No named mechanism can explain much less than it does at the
+right place; where the best named one stays well behind, what is there is not in the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Group, Mechanism, Place, Site, Term
+from labnnum.mechanisms.laws import Law, Local
+from labnnum.mechanisms.local_dashpot import relative
+from labnnum.parameters import Parameter
+
+N_BASIS = 7
+
+
+@final
+@dataclass(frozen=True)
+class GeneralLaw(Law):
+    """g = sum c_b g_b(s / w0): 1, s, s^2, i, s^3, s^4 and one relaxation, w0 the middle of the band in rad/s."""
+
+    middle: float = 1.0
+    inertial: bool = False  # type: ignore[misc]
+    names: tuple[str, ...] = tuple(f"c{i}" for i in range(N_BASIS))
+    units: tuple[str, ...] = ("N/m",) * N_BASIS
+
+    def basis(self, s: NDArray) -> NDArray:
+        """Shape (N_BASIS, n_f)."""
+        x = s / self.middle
+        return np.stack([np.ones_like(x), x, x**2, 1j + 0 * x, x**3 / 3, x**4 / 9, x / (1 + x)])
+
+    def value(self, s: NDArray, p: NDArray) -> NDArray:
+        """g(s)."""
+        return np.asarray(p) @ self.basis(s)
+
+    def derivative(self, s: NDArray, p: NDArray) -> NDArray:
+        """The basis itself."""
+        return self.basis(s)
+
+    def local(self, p: NDArray) -> Local:
+        """A general law is for location; it has no matrices."""
+        raise TypeError("a general local law says where, and is not a model to simulate")
+
+
+@final
+@dataclass(frozen=True)
+class LocalLaw(Mechanism):
+    """Any smooth dynamic stiffness at one motion."""
+
+    id = "local-law"
+    title = "something without a name"
+    equation = "f = Z(s) u"
+    shows = "whatever it does"
+    told_apart = "named mechanisms need fewer parameters"
+    symbol = "question mark"
+    reference = "Ibrahim (1977); D'Ambrogio and Fregolent (1990)"
+
+    def terms(self, site: Site) -> Iterable[Term]:
+        """Each translation of each node (absolute and relative to the base), each relative motion along elements."""
+        for node in site.free_nodes:
+            for axis in TRANSLATIONS:
+                column = site.rows(node, (axis,))
+                if column.size:
+                    yield from self._term(site, Place("node", node), column, axis, site.rigid is not None)
+        for a, b in site.elements:
+            for axis in TRANSLATIONS + ROTATIONS:
+                column = relative(site, a, b, axis)
+                if column is not None:
+                    yield from self._term(site, Place("element", a, b), column, axis, False)
+
+    def _term(self, site: Site, place: Place, column: NDArray, axis: str, both: bool) -> Iterable[Term]:
+        for inertial in (False, True) if both else (False,):
+            law = GeneralLaw(float(np.sqrt(site.omega.min() * site.omega.max())), inertial)
+            scale = site.scale(law, column, np.zeros(N_BASIS), 0)
+            if not np.isfinite(scale):
+                continue
+            parameters = tuple(Parameter(n, 0.0, -1e3 * scale, 1e3 * scale, "N/m") for n in law.names)
+            sizes = scale * np.array([0.01, 0.1])
+            starts = np.array([x * sign * row for row in np.eye(N_BASIS)[:3] for x in sizes for sign in (1, -1)])
+            starts = np.vstack([starts, [x * np.eye(N_BASIS)[3] for x in sizes]])
+            yield Term(
+                self, place, parameters, starts, (Group(law, column, 0),), axis + (" absolute" if inertial else "")
+            )

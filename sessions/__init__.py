@@ -1,0 +1,1 @@
+"""The application: bench runs, storage, reprocessing, command line, window, report."""

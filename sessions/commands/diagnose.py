@@ -1,0 +1,53 @@
+"""labnnum diagnose: which physics did the model leave out?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def diagnose(
+    recordings: Annotated[
+        list[Path], typer.Argument(help="Sessions (.h5) or files of another program; several levels are best.")
+    ],
+    model: Annotated[Path, typer.Option("--model", "-m", help="model.toml of the nominal structure.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for diagnosis.json, diagnosis.html, extended.toml.")],
+    rig: Annotated[Path | None, typer.Option(help="rig.toml; its calibrated thresholds are used.")] = None,
+    held_out: Annotated[
+        list[Path] | None, typer.Option("--held-out", help="Recordings that no fit may see; may be given again.")
+    ] = None,
+    channels: Annotated[Path | None, typer.Option(help="channels.toml, if the files are another program's.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print diagnosis.json and nothing else.")] = False,
+) -> None:
+    """Locate the mismatch between model and measurement, name what is missing, and show the fit improve.
+
+    The model's parameters and its damping are updated first. What they and the ordinary errors of a sound model
+    cannot explain is searched for over the catalogue of mechanisms and over the faults of the measurement chain; the
+    best is fitted together with the parameters, and judged on data that no fit saw. The verdict may be "consistent",
+    "parameters", "missing-physics", "measurement-fault" or "unexplained".
+
+    For example:
+
+        labnnum diagnose low.h5 high.h5 --model beam.toml -o diagnosis
+    """
+    import json
+
+    from rich.console import Console
+
+    from sessions.diagnose import diagnose_files
+
+    console = Console(stderr=True)
+    with console.status("reading") as status:
+        content = diagnose_files(
+            recordings, model, out, held_out or (), channels, rig, progress=lambda text: status.update(text)
+        )
+    if as_json:
+        typer.echo(json.dumps(content))
+        return
+    typer.echo(f"verdict: {content['verdict']}")
+    typer.echo(content["summary"])
+    if content["next_experiment"]:
+        typer.echo(f"next: {content['next_experiment']}")
+    typer.echo(f"page: {out / 'diagnosis.html'}")

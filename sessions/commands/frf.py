@@ -1,0 +1,157 @@
+"""labnnum frf: FRFs and coherence from the recordings of a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from labnnum.bands import Band
+    from labnnum.frf import Frf
+
+
+def frf(
+    session: Annotated[Path, typer.Argument(help="The session (.h5); its raw data stay as they are.")],
+    estimator: Annotated[
+        str, typer.Option(help="H1 (noise on responses), H2 (on the input), Hv, periodic, or auto.")
+    ] = "auto",
+    segment: Annotated[
+        int | None, typer.Option(help="Samples in a segment: lines are rate / segment apart.", show_default=False)
+    ] = None,
+    window: Annotated[
+        str | None, typer.Option(help="hann, boxcar, flattop, ...; a wrong name lists them.", show_default=False)
+    ] = None,
+    overlap: Annotated[
+        float | None, typer.Option(help="Share of a segment that the next repeats, 0 to 1.", show_default=False)
+    ] = None,
+    run: Annotated[list[int] | None, typer.Option(help="Use this run only; repeat for several.")] = None,
+    hits: Annotated[
+        bool | None, typer.Option("--hits/--no-hits", help="Each stretch is one hammer hit. Default: look at it.")
+    ] = None,
+    decay: Annotated[float, typer.Option(help="Hits: exponential window, 1/s; its damping is taken out later.")] = 0.0,
+    gate: Annotated[float, typer.Option(help="Hits: seconds of force kept around its peak; 0 keeps all.")] = 0.0,
+    band: Annotated[
+        list[str] | None, typer.Option(help="Judge coherence from LOW to HIGH Hz, as 50:2000; repeat.")
+    ] = None,
+    coherence: Annotated[float, typer.Option(help="Mean coherence below which a channel is warned of.")] = 0.9,
+    strict: Annotated[bool, typer.Option("--strict", help="Fail if a channel is below it.")] = False,
+    keep_clipped: Annotated[bool, typer.Option("--keep-clipped", help="Use clipped channels all the same.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Estimate FRFs with coherence and random error, and store them in the session.
+
+    Runs with the same channels, rate, period and level are averaged together; other levels get an FRF of their
+    own. Try as many settings as you like: each estimate is stored beside the others with the settings that made
+    it, and the raw data are never touched. What is left open is decided from the recordings: periods are averaged
+    where a period is known, hits are taken one by one, and noise is cut into segments under a Hann window.
+
+    A low coherence is named with its likely cause: noise, leakage (a longer segment helps), nonlinearity, an
+    overload. One average has coherence 1 whatever the data, and is not called good.
+
+    For example:
+
+        labnnum frf beam.h5
+
+        labnnum frf beam.h5 --window boxcar --segment 4096 --overlap 0.5 --estimator H1
+
+        labnnum frf hits.h5 --hits --decay 20 --band 50:2000
+    """
+    import json
+    from typing import cast
+
+    from sessions.commands.printing import bar, finite
+    from sessions.reprocess import FrfSettings, Method, reprocess
+    from sessions.store import open_session
+
+    bands = [_band(text) for text in band or []]
+    settings = FrfSettings(cast(Method, estimator), segment, window, overlap, hits, decay, gate, keep_clipped)
+    with open_session(session, "a") as store, bar("estimating") as progress:
+        done = reprocess(store, settings, run or [], progress)
+    said = [_described(path, one, coherence, bands) for path, one in done]
+    if as_json:
+        typer.echo(json.dumps(finite({"session": str(session), "frfs": said})))
+    else:
+        for one in said:
+            typer.echo(_text(one))
+    if strict:
+        for _, one in done:
+            one.require_coherence(coherence, bands)
+
+
+def _band(text: str) -> Band:
+    from labnnum.bands import Band
+    from labnnum.errors import BandError
+
+    low, _, high = text.partition(":")
+    try:
+        return Band(float(low), float(high))
+    except ValueError as error:
+        if isinstance(error, BandError):
+            raise
+        raise BandError(f"band {text!r} is not LOW:HIGH in Hz, such as 50:2000") from None
+
+
+def _described(path: str, one: Frf, threshold: float, bands: list[Band]) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from labnnum.bands import band_mask
+    from labnnum.quality import coherence_verdicts
+
+    inside = band_mask(bands, one.frequency) if bands else one.frequency >= 0
+    rows = one.coherence
+    mean = {
+        c.name: float(np.nanmean(rows[i][inside])) if rows is not None and inside.any() else None
+        for i, c in enumerate(one.outputs)
+    }
+    return {
+        "stored": path,
+        "estimator": one.estimator,
+        "n_averages": one.n_averages,
+        "lines": int(one.frequency.size),
+        "low": float(one.frequency[0]),
+        "high": float(one.frequency[-1]),
+        "inputs": [c.name for c in one.inputs],
+        "settings": one.settings,
+        "mean_coherence": mean,
+        "peaks": {c.name: _peaks(one, i, inside) for i, c in enumerate(one.outputs)},
+        "verdicts": [asdict(v) for v in coherence_verdicts(one, threshold, bands)],
+    }
+
+
+def _peaks(one: Frf, output: int, inside: Any, most: int = 12) -> list[float]:
+    """Frequencies, in Hz, of the most prominent coherent peaks of an output's FRF to the first input."""
+    import numpy as np
+    from scipy.signal import find_peaks
+
+    size = np.abs(one.value[output, 0])
+    level = 20 * np.log10(np.maximum(size, size.max(initial=0.0) * 1e-12 + 1e-300))
+    at, found = find_peaks(level, prominence=6.0)
+    kept = inside[at]
+    if one.coherence is not None and one.n_averages > 1:
+        kept &= one.coherence[output, at] > 0.8
+    strongest = at[kept][np.argsort(found["prominences"][kept])[::-1][:most]]
+    return [float(f) for f in one.frequency[np.sort(strongest)]]
+
+
+def _text(said: dict[str, Any]) -> str:
+    used = said["settings"]
+    how = [f"{used[k]} {k}" for k in ("window",) if used.get(k)]
+    how += [f"segments of {used['n_segment']}"] if used.get("n_segment") else []
+    how += [f"overlap {used['overlap']:g}"] if used.get("overlap") else []
+    averages = f"{said['n_averages']:.4g} averages"
+    lines = [
+        f"{said['stored']}  {said['estimator']}, {', '.join([*how, averages])}: {said['lines']} lines,"
+        f" {said['low']:.6g} to {said['high']:.6g} Hz, inputs {', '.join(said['inputs'])}"
+    ]
+    for name, mean in said["mean_coherence"].items():
+        told = "no coherence" if mean is None else f"mean coherence {mean:.4f}"
+        peaks = ", ".join(f"{f:.6g}" for f in said["peaks"][name])
+        lines.append(f"  {name}: {told}" + (f"; peaks {peaks} Hz" if peaks else ""))
+    if used.get("overloaded_seconds"):
+        lines.append(f"  note: {used['overloaded_seconds']:.4g} s with overloads are left out")
+    lines += [f"  warning: {v['reason']}" for v in said["verdicts"] if not v["ok"]]
+    return "\n".join(lines)

@@ -1,0 +1,140 @@
+"""`labnnum prove`: concealed suites that anyone can draw again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sessions.prove.run import Order
+
+
+def prove(
+    suite: Annotated[str, typer.Argument(help="What is concealed: linear or nonlinear physics.")],
+    cases: Annotated[int, typer.Option(help="How many cases to draw.")] = 40,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the suite. 0 to 999 were used in development; take 1000 or above for a proof.")
+    ] = 1000,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for truth, answers and score.")] = Path("prove"),
+    jobs: Annotated[int, typer.Option(help="Cases diagnosed at the same time.")] = 1,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings of every case.")] = False,
+    draw_only: Annotated[
+        bool, typer.Option("--draw-only", help="Write the case folders and the sealed truth, and diagnose nothing.")
+    ] = False,
+    score_only: Annotated[
+        bool, typer.Option("--score-only", help="Score the answers that are there, whoever gave them.")
+    ] = False,
+    tool: Annotated[
+        str, typer.Option(help="module:function that diagnoses: (recordings, model, out) writes out/diagnosis.json.")
+    ] = "sessions.diagnose:diagnose_files",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the score as JSON on standard output.")] = False,
+) -> None:
+    """Prove the diagnosis on cases whose truth is concealed.
+
+    Structures with drawn faults (and sound ones) are simulated by code that shares nothing with the diagnosis:
+    another mesh, another damping, a measurement chain in between. The truth is sealed in OUT/truth.json, whose
+    SHA-256 is printed before the first case is diagnosed; the score follows with exact intervals, detection
+    limits and every failure. Stop it with Ctrl-C and run it again: it goes on where it stopped.
+
+        labnnum prove linear --cases 400 --seed 4711 -o proof
+    """
+    from rich.console import Console
+
+    from sessions.prove.run import Order, start
+
+    console = Console(stderr=True)
+    order = Order(suite, cases, seed, out, jobs, keep, tool)
+    with console.status("drawing the suite"):
+        tickets, sha256 = start(order)
+    console.print(f"sealed truth of {len(tickets)} cases: {out / 'truth.json'}\nSHA-256 {sha256}", highlight=False)
+    if draw_only:
+        _draw_only(console, order, tickets)
+        if as_json:
+            _print_json({"cases": str(out / "cases"), "sha256": sha256})
+        return
+    found = _run(console, order, tickets, sha256, score_only)
+    if as_json:
+        _print_json(found)
+    else:
+        _show(Console(), found, out)
+
+
+def _print_json(found: dict[str, Any]) -> None:
+    import json
+
+    typer.echo(json.dumps(found))
+
+
+def _progress(console: Console) -> Any:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+class _Bars:
+    """A bar for each thing that is being done."""
+
+    def __init__(self, progress: Any) -> None:
+        self.progress = progress
+        self.tasks: dict[str, Any] = {}
+
+    def step(self, what: str, done: int, total: int) -> None:
+        if what not in self.tasks:
+            self.tasks[what] = self.progress.add_task(what, total=total)
+        self.progress.update(self.tasks[what], completed=done)
+
+
+def _draw_only(console: Console, order: Order, tickets: Any) -> None:
+    from sessions.prove.run import write_all
+
+    with _progress(console) as progress:
+        write_all(order, tickets, _Bars(progress).step)
+    console.print(f"cases are in {order.out / 'cases'}; put each answer in {order.out / 'answers'}/CASE/diagnosis.json")
+
+
+def _run(console: Console, order: Order, tickets: Any, sha256: str, score_only: bool) -> dict[str, Any]:
+    from sessions.prove.run import diagnose_all, score_all
+
+    with _progress(console) as progress:
+        bars = _Bars(progress)
+        if not score_only:
+            diagnose_all(order, tickets, bars.step)
+        return score_all(order, tickets, sha256, bars.step)
+
+
+def _show(console: Console, found: dict[str, Any], out: Path) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{found['cases']} concealed cases, suite {found['suite']}, seed {found['seed']}")
+    for name in ("measure", "to reach", "found (95 % Clopper-Pearson)", ""):
+        table.add_column(name)
+    for m in found["measures"]:
+        table.add_row(m["name"], m["goal"], m["shown"], {True: "yes", False: "NO", None: ""}[m["reached"]])
+    console.print(table)
+    limits = Table(title="detection limits: where half are named")
+    for name in ("mechanism", "cases", "visible", "named", "severity", "its own measure"):
+        limits.add_column(name)
+    for x in found["limits"]:
+        own = "-" if x["measure"] is None else f"{x['measure']:.3g}  {x['measure_of']}"
+        at = "-" if x["severity"] is None else f"{x['severity']:.2f}"
+        limits.add_row(x["mechanism"], str(x["n"]), str(x["visible"]), str(x["named"]), at, own)
+    console.print(limits)
+    console.print(f"{len(found['failures'])} failures are listed in {out / 'score.md'}", highlight=False)

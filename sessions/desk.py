@@ -1,0 +1,149 @@
+"""Desk: what one run of an item has in hand, and the snapshots that are made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.exciter import Exciter
+from labnnum.errors import SafetyError
+from sessions.display import Display
+from sessions.guard import Guard
+from sessions.items import Item
+from sessions.recorder import Recorder, Stored, Tail
+from sessions.rig import Rig
+from sessions.runs import Run
+from sessions.snapshot import POINTS, Curves, HitLine, Progress, Snapshot, scope_view
+
+
+class UserStopError(SafetyError):
+    """The person asked for the end; the output has been switched off."""
+
+
+@dataclass(eq=False)
+class Status:
+    """What a display is told besides the signals."""
+
+    state: str = ""
+    volts: float = float("nan")
+    level: float = float("nan")
+    target: float = float("nan")
+    level_unit: str = ""
+    curves: Callable[[], Curves | None] = lambda: None
+    hit: NDArray[np.float64] | None = None
+    hits: tuple[HitLine, ...] = ()
+    messages: list[str] = field(default_factory=list)
+    waiting: bool = False
+
+
+@final
+class Desk:
+    """Blocks in SI units, one after the other, after they were guarded and stored.
+
+    Parameters
+    ----------
+    rig : Rig
+    item : Item
+    run : Run
+        Of a session that is open for writing.
+    recorder : Recorder
+    guard : Guard
+    display : Display
+    exciter : Exciter or None
+    progress : sequence of Progress
+        Of the whole plan; the item's own is kept up by `done`.
+    keep : int
+        Samples that can be looked back at.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        item: Item,
+        run: Run,
+        recorder: Recorder,
+        guard: Guard,
+        display: Display,
+        exciter: Exciter | None,
+        progress: Sequence[Progress],
+        keep: int = POINTS,
+    ) -> None:
+        self.rig, self.item, self.run, self.recorder = rig, item, run, recorder
+        self.guard, self.display, self.exciter = guard, display, exciter
+        self.status = Status()
+        self.commands: list[str] = []
+        self.position = 0
+        self.tail = Tail(len(item.stored), max(keep, POINTS))
+        self._progress = list(progress)
+        display.urgent = self.off
+        self._time = 0.0
+
+    def blocks(self) -> Iterator[tuple[Stored, NDArray[np.float64]]]:
+        """Stored blocks with their samples in SI units; the display is served and heard in between."""
+        for one in self.recorder:
+            si = np.array([s.to_si(row) for s, row in zip(self.item.stored, one.block.data, strict=True)])
+            self.tail.add(one.at, si)
+            self.position = one.at + si.shape[1]
+            self._time = one.block.start / self.rig.rate
+            yield one, si
+            self.listen()
+            if self.display.wants():
+                self.display.show(self.snapshot())
+
+    def listen(self) -> None:
+        """Take the person's commands; "stop" ends the run, output first."""
+        new = self.display.commands()
+        if "stop" in new:
+            self.off()
+            raise UserStopError("stopped by the user")
+        self.commands += new
+
+    def off(self) -> None:
+        """Switch the generator off."""
+        if self.exciter is not None:
+            self.exciter.off()
+
+    def done(self, done: int, total: int) -> None:
+        """How far the item is."""
+        where = self.item.number
+        self._progress[where] = Progress(self.item.key, done, total, True)
+
+    def snapshot(self, **changes: Any) -> Snapshot:
+        """What there is now."""
+        s = self.status
+        view: dict[str, Any] = scope_view(self.item.channels, self.rig.rate, self.tail.latest(POINTS))
+        return Snapshot(
+            s.state,
+            **view,
+            curves=s.curves(),
+            hit=s.hit,
+            hits=s.hits,
+            progress=tuple(self._progress),
+            overload=tuple(bool(o) for o in self.guard.overloaded),
+            time=self._time,
+            lost=self.recorder.lost,
+            overflows=self.recorder.overflows,
+            volts=s.volts,
+            level=s.level,
+            target=s.target,
+            level_unit=s.level_unit,
+            messages=(*self.guard.warnings[-4:], *s.messages[-6:]),
+            waiting=s.waiting,
+            **changes,
+        )
+
+    def say(self, text: str) -> None:
+        """A line for the person."""
+        self.status.messages.append(text)
+
+    @property
+    def progress(self) -> list[Progress]:
+        """Of the whole plan."""
+        return [replace(p, current=False) for p in self._progress]
+
+
+Measure = Callable[[Desk], None]

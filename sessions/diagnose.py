@@ -1,0 +1,192 @@
+"""Diagnosis of files: recordings and a model in, diagnosis.json, diagnosis.html and extended.toml out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labnnum.diagnosis import Diagnosis, Limits, Observation, Scatter, diagnose, observe_all, observe_frf
+from labnnum.errors import FileError, InputError
+from labnnum.frf import Frf
+from labnnum.mechanisms import CATALOGUE
+from labnnum.recording import Recording
+from sessions.exchange import read_any
+from sessions.limits import read_limits
+from sessions.model import Model, read_model, write_model
+
+
+def observations_of(paths: Sequence[str | Path], channels: str | Path | None = None) -> list[Observation]:
+    """Observations of sessions and importable files: one a recording, one a file of FRFs.
+
+    A session that holds FRFs only gives the last of them.
+    """
+    out: list[Observation] = []
+    recorded: list[Recording] = []
+    for path in paths:
+        found = read_any(path, channels)
+        if isinstance(found, Frf):
+            out.append(observe_frf(found, str(path)))
+            continue
+        if not found:
+            raise FileError(f"{path}: holds no recording; import or measure one first")
+        recorded += found
+    out += observe_all(recorded)
+    if not out:
+        raise FileError("no recording was given")
+    return out
+
+
+def run(
+    recordings: Sequence[str | Path],
+    model: Model,
+    held_out: Sequence[str | Path] = (),
+    channels: str | Path | None = None,
+    rig: str | Path | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Diagnosis:
+    """Read, observe and diagnose; limits and scatter of the rig where it was calibrated.
+
+    Raises
+    ------
+    InputError
+        For files, channels or models that cannot be used.
+    """
+    progress("reading")
+    train = observations_of(recordings, channels)
+    test = observations_of(held_out, channels) if held_out else []
+    scatter, limits = read_limits(rig) if rig else (Scatter(), Limits())
+    _require_sensors(model, train)
+    p = model.places
+    places = {k: getattr(p, k) for k in ("nodes", "elements", "supports") if getattr(p, k) is not None}
+    span = (0.9 * model.bands[0].low, 1.05 * model.bands[-1].high) if model.bands else None
+    return diagnose(
+        model.structure, train, test, places=places, span=span, scatter=scatter, limits=limits, catalogue=CATALOGUE,
+        progress=progress,
+    )  # fmt: skip
+
+
+def _require_sensors(model: Model, observations: Sequence[Observation]) -> None:
+    known = set(model.structure.dofs)
+    for o in observations:
+        for c in (*o.frf.outputs, *(c for c in o.frf.inputs if c.role != "base")):
+            if not c.dof:
+                raise InputError(f"{o.label}: channel {c.name!r} has no node and direction; give both in channels.toml")
+            if c.dof not in known and ":" in c.dof:
+                try:
+                    model.structure.participation(c.dof, model.structure.nominal)
+                except ValueError as error:
+                    raise InputError(f"{o.label}: channel {c.name!r} sits at {c.dof}, and {error}") from error
+        if any(c.role == "base" for c in o.frf.inputs) and not model.structure.base:
+            raise InputError(
+                f"{o.label}: channel {o.frf.inputs[0].name!r} is base motion, but {model.path} has no key"
+                ' structure.base; add base = "z" (or its direction)'
+            )
+
+
+def diagnose_files(
+    recordings: Sequence[str | Path],
+    model: str | Path,
+    out: str | Path,
+    held_out: Sequence[str | Path] = (),
+    channels: str | Path | None = None,
+    rig: str | Path | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Content of diagnosis.json, written with diagnosis.html and extended.toml into the folder `out`."""
+    read = read_model(model)
+    d = run(recordings, read, held_out, channels, rig, progress)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    content = d.as_dict()
+    (folder / "diagnosis.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_extended(folder / "extended.toml", read, d)
+    from sessions.report.diagnosis import write_page
+
+    progress("drawing")
+    write_page(folder / "diagnosis.html", read, d)
+    return content
+
+
+# -------------------------------------------------------------------- extended.toml
+
+
+def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
+    """The model with its updated parameters, fitted damping and named mechanisms, as a model of its own."""
+    tables = {k: v for k, v in model.raw.items() if k != "mechanism"}
+    made = d.detail["final"]
+    tables = _updated(path, model, tables, made.point.theta)
+    tables["damping"] = {"kind": "modal", "ratio": [float(f"{z:.6g}") for z in _ratios(d)]}
+    moved = Model(
+        model.structure,
+        model.bands,
+        model.places,
+        tables,
+        path if tables["structure"] is not model.raw["structure"] else model.path,
+    )
+    write_model(path, moved, _entries(d))
+
+
+def _ratios(d: Diagnosis) -> np.ndarray:
+    engine, made = d.detail["engine"], d.detail["final"]
+    ratios = engine.zeta0.copy()
+    ratios[engine.band_modes] = np.exp(made.point.log_zeta)
+    return ratios
+
+
+def _updated(path: Path, model: Model, tables: dict[str, Any], theta: np.ndarray) -> dict[str, Any]:
+    """Tables whose nominal parameters are the updated ones; matrices are expanded anew about them."""
+    own = model.structure.parameters[: theta.size]
+    values = dict(zip((p.name for p in own), theta, strict=True))
+    entries = []
+    for entry in tables.get("parameter", ()):
+        value = float(values.get(entry["name"], entry["nominal"]))
+        low, high = float(entry["lower"]), float(entry["upper"])
+        entries.append({**entry, "nominal": min(max(value, low), high)})
+    if entries:
+        tables = {**tables, "parameter": entries}
+    if "file" not in tables["structure"]:
+        return tables
+    from sessions.matrix_file import read_matrix_file
+
+    arrays = dict(read_matrix_file(model.path.parent / tables["structure"]["file"]))
+    for p in own:
+        for base, slope in (("M0", f"dM_{p.name}"), ("K0", f"dK_{p.name}"), ("C0", f"dC_{p.name}")):
+            if slope in arrays and base in arrays:
+                arrays[base] = arrays[base] + (values[p.name] - p.nominal) * arrays[slope]
+    name = f"{path.stem}.npz"
+    np.savez(path.parent / name, **arrays)  # pyright: ignore[reportArgumentType]
+    return {**tables, "structure": {**tables["structure"], "file": name}}
+
+
+def _entries(d: Diagnosis) -> list[dict[str, Any]]:
+    """[[mechanism]] entries: what the model held already, what was named, and the trim of the frequencies."""
+    out: list[dict[str, Any]] = []
+    fitted = d.detail["bayes"]
+    std = np.sqrt(np.diag(fitted.covariance))[fitted.n_theta :]
+    at = 0
+    for term in fitted.terms:
+        place = {k: v for k, v in term.place.as_dict().items() if v is not None}
+        values = zip(term.parameters, fitted.point.terms[at:], std[at:], strict=False)
+        entry: dict[str, Any] = {
+            "id": term.mechanism.id,
+            "place": place,
+            "parameters": {p.name: {"value": float(v), "std": float(s), "unit": p.unit} for p, v, s in values},
+        }
+        if term.variant:
+            entry["variant"] = term.variant
+        if term.data.get("extra_mode"):
+            train = d.detail["train"]
+            entry["dofs"] = [c.dof for c in train.outputs]
+            entry["driven"] = [c.dof for c in train.inputs if c.role != "base"]
+        out.append(entry)
+        at += term.n
+    engine, made = d.detail["engine"], d.detail["final"]
+    shift = np.zeros(int(engine.band_modes.max()) + 1)
+    shift[engine.band_modes] = made.point.shift
+    if np.any(np.abs(shift) > 1e-6):
+        out.append({"id": "modal-trim", "shift": [float(f"{v:.5g}") for v in shift]})
+    return out

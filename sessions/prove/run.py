@@ -1,0 +1,148 @@
+"""Running a suite: draw, seal, measure each case, ask the tool, score. Interrupt it and it goes on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from labnnum.errors import ConfigError, LabnnumError
+from sessions.prove import score, seal
+from sessions.prove.cases import measure, write_case
+from sessions.prove.suite import Ticket, draw
+
+TOOL = "sessions.diagnose:diagnose_files"
+THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+Step = Callable[[str, int, int], None]
+"""Told what is being done, how much of it is done, and how much there is."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be proved, and how.
+
+    `tool` is "module:function" of a function (recordings, model, out) -> dict that writes out/diagnosis.json: the
+    program's own, or any other that is to be compared.
+    """
+
+    suite: str
+    cases: int
+    seed: int
+    out: Path
+    jobs: int = 1
+    keep: bool = False
+    tool: str = TOOL
+
+
+def quiet(what: str, done: int, total: int) -> None:
+    """A step that shows nothing."""
+
+
+def start(order: Order) -> tuple[tuple[Ticket, ...], str]:
+    """Draw and seal a suite; its tickets and the SHA-256 of the sealed truth."""
+    if order.jobs < 1:
+        raise ConfigError(f"--jobs {order.jobs} must be at least 1")
+    tickets = draw(order.cases, order.seed, order.suite)
+    return tickets, seal.seal(order.out, order.suite, order.seed, tickets)
+
+
+def write_all(order: Order, tickets: Sequence[Ticket], step: Step = quiet) -> None:
+    """Write the case folders only, so that any tool can be run on them."""
+    for i, ticket in enumerate(tickets):
+        folder = case_folder(order.out, ticket.name)
+        if not (folder / "model.toml").is_file():
+            write_case(measure(ticket.conceal()), folder)
+        step("drawing", i + 1, len(tickets))
+
+
+def case_folder(out: Path, case: str) -> Path:
+    """Folder of what a user would have of a case."""
+    return out / "cases" / case
+
+
+def diagnose_all(order: Order, tickets: Sequence[Ticket], step: Step = quiet) -> None:
+    """Measure and diagnose every case that has no answer yet."""
+    load(order.tool)
+    todo = [t for t in tickets if not score.answer_path(order.out, t.name).is_file()]
+    done = len(tickets) - len(todo)
+    step("diagnosing", done, len(tickets))
+    for _ in _each(order, todo):
+        done += 1
+        step("diagnosing", done, len(tickets))
+
+
+def load(tool: str) -> Callable[..., Any]:
+    """The function that a "module:function" names; ConfigError if there is none."""
+    module, _, function = tool.partition(":")
+    try:
+        return getattr(import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"--tool {tool}: {error}; it must be module:function") from None
+
+
+def _each(order: Order, todo: Sequence[Ticket]) -> Iterator[str]:
+    if order.jobs == 1:
+        for ticket in todo:
+            yield answer(ticket, order.out, order.keep, order.tool)
+        return
+    for name in THREAD_SETTINGS:
+        os.environ.setdefault(name, "1")
+    pool = ProcessPoolExecutor(order.jobs, mp_context=get_context("spawn"))
+    try:
+        waiting: set[Future[str]] = {pool.submit(answer, t, order.out, order.keep, order.tool) for t in todo}
+        while waiting:
+            ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in ready:
+                yield future.result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def answer(ticket: Ticket, out: Path, keep: bool, tool: str) -> str:
+    """Measure one case, have it diagnosed, keep the answer and its time; the name of the case.
+
+    A tool that fails leaves error.txt instead of an answer: the case counts as one without answer, and is listed.
+    """
+    folder = case_folder(out, ticket.name)
+    recordings = write_case(measure(ticket.conceal()), folder)
+    target = score.answer_path(out, ticket.name).parent
+    target.mkdir(parents=True, exist_ok=True)
+    failed = target / "error.txt"
+    failed.unlink(missing_ok=True)
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        load(tool)(recordings, folder / "model.toml", target)
+    except LabnnumError as error:
+        failed.write_text(f"{type(error).__name__}: {error}\n", encoding="utf-8")
+    except Exception as error:
+        failed.write_text(f"{type(error).__name__}: {error}\n\n{traceback.format_exc()}", encoding="utf-8")
+    times = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    (target / "time.json").write_text(json.dumps(times), encoding="utf-8")
+    if not keep:
+        shutil.rmtree(folder)
+    return ticket.name
+
+
+def score_all(order: Order, tickets: Sequence[Ticket], sha256: str, step: Step = quiet) -> dict[str, Any]:
+    """Score what was answered so far; writes score.json and score.md."""
+    seen: list[str] = []
+
+    def one(name: str) -> None:
+        seen.append(name)
+        step("scoring", len(seen), len(tickets))
+
+    cases = score.read(order.out, tickets, one)
+    head = {"schema": 1, "suite": order.suite, "seed": order.seed, "sha256": sha256, "tool": order.tool}
+    found = score.summary(cases, head)
+    score.write(order.out, found)
+    return found

@@ -1,0 +1,318 @@
+"""Time marching of a structure with local nonlinear laws: exact modes between steps, implicit laws at each step.
+
+Every mode is carried over a step exactly (matrix exponential, load linear in the step). The laws' forces at the
+end of the step are found implicitly, with set-valued friction and slip by return mapping. A step in which a
+contact closes or opens, or a slider lets go or sticks, is done again in `PARTS` smaller ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+PARTS = 8
+STATES = 8
+SWEEPS = 4
+
+CUBIC, QUADRATIC, GAP, CLEARANCE, COULOMB, DRAG, SLIDERS, BOUC_WEN, VAN_DER_POL, SIGNED_SQUARE, DELAY = range(11)
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Modes and static remainder as the laws see them.
+
+    Parameters
+    ----------
+    square, viscous : ndarray, shape (m,)
+        Squared angular frequencies and 2 zeta omega.
+    shape : ndarray, shape (n_laws, m)
+        Motion of each law's stretch in each mode.
+    load : ndarray, shape (m,)
+        Modal load of a unit input.
+    remainder : ndarray, shape (n_laws, n_laws)
+        Static flexibility of the modes left out.
+    remainder_load : ndarray, shape (n_laws,)
+        Stretch that a unit input makes in the modes left out.
+    """
+
+    square: NDArray[np.float64]
+    viscous: NDArray[np.float64]
+    shape: NDArray[np.float64]
+    load: NDArray[np.float64]
+    remainder: NDArray[np.float64]
+    remainder_load: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Laws:
+    """Kinds of the laws and their constants, shapes (n_laws,) and (n_laws, 8)."""
+
+    kind: NDArray[np.int_]
+    constants: NDArray[np.float64]
+
+
+def march(coupling: Coupling, laws: Laws, signal: NDArray, step: float) -> tuple[NDArray, NDArray, NDArray]:
+    """Stretch, its speed and force of every law from rest, each (n_laws, n_samples), under samples of the input."""
+    whole = steps(coupling, step)
+    part = steps(coupling, step / PARTS)
+    return _march(
+        *whole,
+        *part,
+        np.ascontiguousarray(coupling.shape),
+        coupling.load,
+        coupling.remainder,
+        coupling.remainder_load,
+        laws.kind,
+        laws.constants,
+        np.ascontiguousarray(signal, float),
+        step,
+    )
+
+
+def steps(coupling: Coupling, step: float) -> tuple[NDArray, NDArray, NDArray]:
+    """Transition (m, 2, 2) of a mode's motion and speed over a step, and what loads at its two ends add, (m, 2)."""
+    m = coupling.square.size
+    A, start, end = np.zeros((m, 2, 2)), np.zeros((m, 2)), np.zeros((m, 2))
+    for r in range(m):
+        big = np.zeros((4, 4))
+        big[0, 1] = 1.0
+        big[1] = [-coupling.square[r], -coupling.viscous[r], 1.0, 0.0]
+        big[2, 3] = 1.0
+        E = np.asarray(scipy.linalg.expm(big * step))
+        A[r] = E[:2, :2]
+        end[r] = E[:2, 3] / step
+        start[r] = E[:2, 2] - end[r]
+    return A, start, end
+
+
+@numba.njit(cache=True)
+def _sign(x):
+    return 1.0 if x > 0 else (-1.0 if x < 0 else 0.0)
+
+
+@numba.njit(cache=True)
+def _smooth(kind, c, z, v):
+    """Force of a law without memory, its slopes to stretch and speed, and the number of its branch."""
+    if kind == CUBIC:
+        return c[0] * z**3, 3 * c[0] * z * z, 0.0, 0
+    if kind == QUADRATIC:
+        return c[0] * z * z, 2 * c[0] * z, 0.0, 0
+    if kind == GAP:
+        if z > c[1]:
+            return c[0] * (z - c[1]), c[0], 0.0, 1
+        return 0.0, 0.0, 0.0, 0
+    if kind == CLEARANCE:
+        if z > c[1]:
+            return c[0] * (z - c[1]), c[0], 0.0, 1
+        if z < -c[1]:
+            return c[0] * (z + c[1]), c[0], 0.0, -1
+        return 0.0, 0.0, 0.0, 0
+    if kind == DRAG:
+        return c[0] * v * abs(v), 0.0, 2 * c[0] * abs(v), 0
+    if kind == VAN_DER_POL:
+        return c[0] * z * z * v, 2 * c[0] * z * v, c[0] * z * z, 0
+    return c[0] * z * abs(z), 2 * c[0] * abs(z), 0.0, 0
+
+
+@numba.njit(cache=True)
+def _memory(kind, c, dz, old, new):
+    """Force of a law with memory after a further stretch dz, its slope, and the number of its branch."""
+    if kind == SLIDERS:
+        count = int(c[2])
+        force, slope, branch = 0.0, 0.0, 0
+        for i in range(count):
+            limit = c[1] * 2 * (i + 1) / (count + 1) / count
+            stiffness = c[0] / count
+            trial = old[i] + stiffness * dz
+            if trial > limit:
+                new[i] = limit
+                branch += 3**i
+            elif trial < -limit:
+                new[i] = -limit
+                branch += 2 * 3**i
+            else:
+                new[i] = trial
+                slope += stiffness
+            force += new[i]
+        return force, slope, branch
+    w = old[0]
+    parts = 2
+    for _ in range(parts):
+        half = w + 0.5 * dz / parts * _wen(c, w, dz)
+        w += dz / parts * _wen(c, half, dz)
+    new[0] = w
+    return c[0] * w, c[0] * _wen(c, w, dz), 0
+
+
+@numba.njit(cache=True)
+def _wen(c, w, dz):
+    """dw/dz of Bouc and Wen with limit c[1], power c[2] and share c[3] of the term that changes with direction."""
+    size = (abs(w) / c[1]) ** c[2]
+    return 1.0 - size * (c[3] * _sign(w * dz) + 1.0 - c[3])
+
+
+@numba.njit(cache=True)
+def _force(kind, c, z, v, dz0, az, av, late, old, new):
+    """Force f = g(z - az f, v - av f) of one law, and the number of its branch."""
+    if kind == COULOMB:
+        stick = v / av
+        if stick > c[0]:
+            new[0] = 1.0
+            return c[0], 1
+        if stick < -c[0]:
+            new[0] = -1.0
+            return -c[0], -1
+        return stick, 0
+    if kind == DELAY:
+        return (c[0] * late + c[2] * v) / (1.0 + av * c[2]), 0
+    f, branch = 0.0, 0
+    if kind != SLIDERS and kind != BOUC_WEN:
+        f = _smooth(kind, c, z, v)[0]
+    low, high = min(0.0, f), max(0.0, f)
+    for _ in range(60):
+        if kind in (SLIDERS, BOUC_WEN):
+            g, slope, branch = _memory(kind, c, dz0 - az * f, old, new)
+            rate = 0.0
+        else:
+            g, slope, rate, branch = _smooth(kind, c, z - az * f, v - av * f)
+        move = (g - f) / (1.0 + az * slope + av * rate)
+        if kind in (VAN_DER_POL, DRAG):
+            if g > f:
+                low = f
+            else:
+                high = f
+            if not low <= f + move <= high:
+                move = 0.5 * (low + high) - f
+        f += move
+        if abs(move) <= 1e-11 * (abs(f) + 1e-30):
+            break
+    return f, branch
+
+
+@numba.njit(cache=True)
+def _advance(A, start, end, shape, load, rest, rest_load, kind, const, q, p, u, zs, f, old, new, late, h, out):
+    """One step: motion q (m, 2) and modal loads p (m,) before it; fills out (q, p, z, v, f) and says the branches."""
+    m, n = q.shape[0], shape.shape[0]
+    qn, pn, zn, vn, fn, resid = out
+    zp, vp = np.zeros(n), np.zeros(n)
+    az, av = rest.copy(), rest / h
+    for r in range(m):
+        a0 = A[r, 0, 0] * q[r, 0] + A[r, 0, 1] * q[r, 1] + start[r, 0] * p[r] + end[r, 0] * load[r] * u
+        a1 = A[r, 1, 0] * q[r, 0] + A[r, 1, 1] * q[r, 1] + start[r, 1] * p[r] + end[r, 1] * load[r] * u
+        qn[r, 0], qn[r, 1] = a0, a1
+        for e in range(n):
+            zp[e] += shape[e, r] * a0
+            vp[e] += shape[e, r] * a1
+            for g in range(n):
+                az[e, g] += shape[e, r] * end[r, 0] * shape[g, r]
+                av[e, g] += shape[e, r] * end[r, 1] * shape[g, r]
+    for e in range(n):
+        zp[e] += rest_load[e] * u
+        vp[e] += (rest_load[e] * u - resid[e]) / h
+        fn[e] = f[e]
+    branches = 0
+    for _ in range(1 if n == 1 else SWEEPS):
+        branches = 0
+        for e in range(n):
+            z, v = zp[e], vp[e]
+            for g in range(n):
+                if g != e:
+                    z -= az[e, g] * fn[g]
+                    v -= av[e, g] * fn[g]
+            fn[e], branch = _force(kind[e], const[e], z, v, z - zs[e], az[e, e], av[e, e], late[e], old[e], new[e])
+            zn[e], vn[e] = z - az[e, e] * fn[e], v - av[e, e] * fn[e]
+            branches = branches * 100003 + branch
+    for r in range(m):
+        pn[r] = load[r] * u
+        push = 0.0
+        for e in range(n):
+            push += shape[e, r] * fn[e]
+        pn[r] -= push
+        qn[r, 0] -= end[r, 0] * push
+        qn[r, 1] -= end[r, 1] * push
+    for e in range(n):
+        resid[e] = rest_load[e] * u
+        for g in range(n):
+            resid[e] -= rest[e, g] * fn[g]
+    return branches
+
+
+@numba.njit(cache=True)
+def _march(A, start, end, A2, start2, end2, shape, load, rest, rest_load, kind, const, signal, h):
+    n, m, total = shape.shape[0], shape.shape[1], signal.size
+    z, v, f = np.zeros((n, total)), np.zeros((n, total)), np.zeros((n, total))
+    q, p = np.zeros((m, 2)), np.zeros(m)
+    qn, pn, resid, was = np.zeros((m, 2)), np.zeros(m), np.zeros(n), np.zeros(n)
+    zn, vn, fn = np.zeros(n), np.zeros(n), np.zeros(n)
+    old, new = np.zeros((n, STATES)), np.zeros((n, STATES))
+    late = np.zeros(n)
+    out = (qn, pn, zn, vn, fn, resid)
+    q0, p0, z0, f0 = q.copy(), p.copy(), zn.copy(), fn.copy()
+    last = 0
+    for i in range(1, total):
+        for e in range(n):
+            if kind[e] == DELAY:
+                back = i - const[e, 1] / h
+                k = int(np.floor(back))
+                late[e] = z[e, k] + (back - k) * (z[e, k + 1] - z[e, k]) if k >= 0 and k + 1 < i else 0.0
+        was[:] = resid
+        new[:] = old
+        branches = _advance(
+            A,
+            start,
+            end,
+            shape,
+            load,
+            rest,
+            rest_load,
+            kind,
+            const,
+            q,
+            p,
+            signal[i],
+            z[:, i - 1],
+            f[:, i - 1],
+            old,
+            new,
+            late,
+            h,
+            out,
+        )
+        if branches != last:
+            resid[:] = was
+            q0[:], p0[:], z0[:], f0[:] = q, p, z[:, i - 1], f[:, i - 1]
+            for j in range(1, PARTS + 1):
+                u = signal[i - 1] + (signal[i] - signal[i - 1]) * j / PARTS
+                new[:] = old
+                branches = _advance(
+                    A2,
+                    start2,
+                    end2,
+                    shape,
+                    load,
+                    rest,
+                    rest_load,
+                    kind,
+                    const,
+                    q0,
+                    p0,
+                    u,
+                    z0,
+                    f0,
+                    old,
+                    new,
+                    late,
+                    h / PARTS,
+                    out,
+                )
+                q0[:], p0[:], z0[:], f0[:] = qn, pn, zn, fn
+                old[:] = new
+        last = branches
+        q[:], p[:] = qn, pn
+        old[:] = new
+        z[:, i], v[:, i], f[:, i] = zn, vn, fn
+    return z, v, f

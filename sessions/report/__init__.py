@@ -1,0 +1,1 @@
+"""HTML reports of sessions: one self-contained page, made of stored results only."""

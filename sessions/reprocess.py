@@ -1,0 +1,245 @@
+"""FRFs from the recordings of a session: estimated again with any settings, stored beside the raw data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from labnnum.errors import EstimationError
+from labnnum.estimators import H1, H2, Hits, Hv, Welch, periodic
+from labnnum.frf import Frf
+from labnnum.recording import Recording
+from sessions.calibration import without_inputs
+from sessions.screen import require_unclipped
+from sessions.store import Session
+
+Method = Literal["auto", "H1", "H2", "Hv", "periodic"]
+ESTIMATORS = {"H1": H1, "H2": H2, "Hv": Hv}
+AVERAGES = 16
+"""Segments without overlap that a record is cut into where nobody says how long they are."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrfSettings:
+    """How FRFs are estimated; None and "auto" are decided by the recordings.
+
+    Parameters
+    ----------
+    estimator : str
+        "H1", "H2", "Hv", "periodic" (averaging of periods), or "auto": periodic where a period is known.
+    segment : int or None
+        Samples in a segment, or of each hit that are used.
+    window : str or None
+        One of `labnnum.windows.WINDOWS`; None is "hann" for noise and none for hits.
+    overlap : float or None
+        Share of a segment that the next repeats; None is one half under a window and nothing under "boxcar".
+    hits : bool or None
+        Whether each stretch is one hammer hit; None looks at the force.
+    decay : float
+        1/s, exponential window on hits.
+    gate : float
+        Seconds of the force kept after its peak; 0 keeps all.
+    keep_clipped : bool
+        Estimate from clipped channels all the same.
+    """
+
+    estimator: Method = "auto"
+    segment: int | None = None
+    window: str | None = None
+    overlap: float | None = None
+    hits: bool | None = None
+    decay: float = 0.0
+    gate: float = 0.0
+    keep_clipped: bool = False
+
+
+def are_hits(recordings: Sequence[Recording]) -> bool:
+    """Whether the recordings are hammer hits: each stretch has one short pulse of force, and nothing after it.
+
+    Examples
+    --------
+    >>> from labnnum.recording import Channel
+    >>> pulse = np.zeros((1, 1000)); pulse[0, 10:15] = 1.0
+    >>> force = (Channel("f", "force", "reference"),)
+    >>> are_hits([Recording(force, pulse, 1e3)]), are_hits([Recording(force, np.sin(np.arange(1000))[None], 1e3)])
+    (True, False)
+    """
+    for recording in recordings:
+        inputs = recording.with_role("reference")
+        if len(inputs) != 1 or recording.period:
+            return False
+        force = np.abs(recording.data[inputs[0]])
+        for start, stop in recording.spans():
+            piece = force[start:stop]
+            if np.count_nonzero(piece > 0.1 * piece.max(initial=0.0)) > 0.05 * piece.size:
+                return False
+    return bool(recordings)
+
+
+def groups(recordings: Sequence[Recording]) -> list[list[Recording]]:
+    """Recordings that belong in one estimate: the same channels, rate, period and level."""
+    out: dict[tuple[Any, ...], list[Recording]] = {}
+    for r in recordings:
+        level = None if np.isnan(r.level) else r.level
+        out.setdefault((r.channels, r.rate, r.period, level), []).append(r)
+    return list(out.values())
+
+
+def chosen(recordings: Sequence[Recording], settings: FrfSettings) -> FrfSettings:
+    """The settings with everything decided that was left open."""
+    period = recordings[0].period
+    estimator = settings.estimator
+    welch = settings.window is not None or settings.overlap is not None or settings.segment is not None
+    if estimator == "auto":
+        estimator = "periodic" if period and not welch and settings.hits is not True else "H1"
+    if estimator == "periodic":
+        return replace(settings, estimator=estimator, hits=False)
+    hits = settings.hits
+    if hits is None:
+        hits = settings.window is None and settings.overlap is None and are_hits(recordings)
+    if hits:
+        return replace(settings, estimator=estimator, hits=True, window="boxcar", overlap=0.0)
+    window = settings.window or ("boxcar" if period else "hann")
+    overlap = settings.overlap if settings.overlap is not None else 0.0 if window == "boxcar" else 0.5
+    segment = settings.segment or period or _usual_segment(recordings)
+    return replace(settings, estimator=estimator, hits=False, window=window, overlap=overlap, segment=segment)
+
+
+def _usual_segment(recordings: Sequence[Recording]) -> int:
+    """A power of two that gives about `AVERAGES` segments without overlap."""
+    lengths = [stop - start for r in recordings for start, stop in r.spans()]
+    if not lengths or max(lengths) < 4:
+        raise EstimationError(f"{recordings[0].label}: no unbroken stretch of it can be used")
+    wanted = min(max(sum(lengths) // AVERAGES, 2), max(lengths))
+    return 2 ** int(np.log2(wanted))
+
+
+def estimate(recordings: Sequence[Recording], settings: FrfSettings) -> Frf:
+    """One FRF from all of `recordings`, which belong together.
+
+    Raises
+    ------
+    ChannelError
+        If a channel is clipped, and `keep_clipped` is not set; or not finite, constant or absent.
+    EstimationError
+        If no estimate exists under these settings: too few segments, unlike recordings, ...
+    """
+    if not settings.keep_clipped:
+        recordings = usable(recordings, settings)
+    if settings.segment is not None and settings.segment < 2:
+        raise EstimationError(f"segment {settings.segment} must be 2 samples or more")
+    done = chosen(recordings, settings)
+    if done.estimator == "periodic":
+        _require_period(recordings)
+        return periodic(list(recordings))
+    if done.estimator not in ESTIMATORS:
+        raise EstimationError(f"estimator {done.estimator!r} is not one of auto, {', '.join(ESTIMATORS)}, periodic")
+    if done.hits:
+        gate = (done.gate, done.gate) if done.gate else None
+        processor = Hits(done.segment, done.decay, gate)
+    else:
+        assert done.segment is not None and done.window is not None and done.overlap is not None  # noqa: PT018
+        processor = Welch(done.segment, done.window, done.overlap)
+    return ESTIMATORS[done.estimator](processor)(list(recordings))
+
+
+def usable(recordings: Sequence[Recording], settings: FrfSettings) -> list[Recording]:
+    """Recordings without their overloaded stretches; of hammer hits the whole hit is left out.
+
+    Raises
+    ------
+    ChannelError
+        If a channel is clipped where nobody noticed.
+    """
+    out = []
+    hits = chosen(recordings, settings).hits
+    for recording in recordings:
+        bad = [(a, b) for c, a, b in recording.overloads if recording.channels[c].role != "monitor"]
+        if hits:
+            bad = [s for s in recording.spans() if any(a < s[1] and b > s[0] for a, b in bad)]
+        cleaned = replace(recording, excluded=(*recording.excluded, *bad))
+        require_unclipped(cleaned, "or use it all the same with --keep-clipped")
+        if not any(True for _ in cleaned.spans()):
+            raise EstimationError(
+                f"{recording.label}: every stretch of it is overloaded or excluded; lower the gain and record again"
+            )
+        out.append(cleaned)
+    return out
+
+
+def _require_period(recordings: Sequence[Recording]) -> None:
+    for recording in recordings:
+        if not recording.period:
+            raise EstimationError(
+                f"{recording.label}: has no period, so periods cannot be averaged; set period in channels.toml, or"
+                " choose H1, H2 or Hv"
+            )
+
+
+def reprocess(
+    session: Session,
+    settings: FrfSettings,
+    runs: Sequence[int] = (),
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[tuple[str, Frf]]:
+    """Estimate an FRF from each group of runs and store it; (path in the session, FRF) of each.
+
+    Parameters
+    ----------
+    session : Session
+        Open for appending; its raw data are not touched.
+    settings : FrfSettings
+    runs : sequence of int
+        Numbers of the runs to use; all if empty.
+    progress : callable
+        Told how many groups are done, and of how many.
+    """
+    known = {run.index: run for run in session.runs}
+    missing = [n for n in runs if n not in known]
+    if missing:
+        raise EstimationError(f"{session.path}: there is no run {missing[0]}; there are {_listed(list(known))}")
+    kept = [known[n] for n in (runs or sorted(known)) if known[n].n_samples]
+    if not kept:
+        raise EstimationError(f"{session.path}: there are no samples to estimate from")
+    recordings = {run.index: run.recording() for run in kept}
+    batches = groups(list(recordings.values()))
+    out = []
+    for i, batch in enumerate(batches):
+        used = [n for n, r in recordings.items() if any(r is b for b in batch)]
+        frf = without_inputs(estimate(batch, settings), [known[n] for n in used])
+        said = {k: v for k, v in asdict(chosen(batch, settings)).items() if v is not None}
+        told = {"runs": used, "requested": said, **_level(batch), **_left_out(batch, settings)}
+        out.append((session.add_frf(frf, told, name=_title(used, batch)), frf))
+        progress(i + 1, len(batches))
+    return out
+
+
+def _left_out(batch: Sequence[Recording], settings: FrfSettings) -> dict[str, float]:
+    """Seconds that were not used because of overloads."""
+    if settings.keep_clipped:
+        return {}
+    pairs = zip(batch, usable(batch, settings), strict=True)
+    lost = sum((_used(before) - _used(after)) / before.rate for before, after in pairs)
+    return {"overloaded_seconds": lost} if lost else {}
+
+
+def _used(recording: Recording) -> int:
+    return sum(stop - start for start, stop in recording.spans())
+
+
+def _level(batch: Sequence[Recording]) -> dict[str, float]:
+    return {} if np.isnan(batch[0].level) else {"level": batch[0].level}
+
+
+def _title(used: Sequence[int], batch: Sequence[Recording]) -> str:
+    level = "" if np.isnan(batch[0].level) else f", level {batch[0].level:g}"
+    return f"runs {_listed(used)}{level}" if len(used) > 1 else f"run {used[0]}{level}"
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return f"{numbers[0]} to {numbers[-1]}"
+    return ", ".join(str(n) for n in numbers) or "none"

@@ -1,0 +1,135 @@
+"""Snapshot: what the recorder and the estimator hold at one moment, ready to be drawn; nobody computes from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.frf import Frf
+from labnnum.recording import Channel
+from labnnum.windows import window
+
+POINTS = 4096
+"""Samples of the scope, and of the spectrum's segment, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class HitLine:
+    """One hit as shown: its number, whether it counts, and why."""
+
+    index: int
+    accepted: bool
+    reason: str
+    peak: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """One item of the plan: how far it is."""
+
+    key: str
+    done: int
+    total: int
+    current: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curves:
+    """FRFs ready to draw: magnitude and phase (degrees), coherence, shapes (n_curves, n_f)."""
+
+    frequency: NDArray[np.float64]
+    magnitude: NDArray[np.float64]
+    phase: NDArray[np.float64]
+    coherence: NDArray[np.float64] | None
+    names: tuple[str, ...]
+    unit: str
+    averages: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """Everything that a display shows.
+
+    Parameters
+    ----------
+    state : str
+        What goes on, in words.
+    names, units : tuple of str
+        Of the channels.
+    scope : ndarray, shape (n_channels, n)
+        The last samples, SI units; their rate is `rate`.
+    spectrum : ndarray, shape (n_channels, n_f)
+        Amplitude density of the last samples, unit/sqrt(Hz), at `lines` in Hz.
+    hit : ndarray or None, shape (n_channels, n)
+        The last hit.
+    inputs : tuple of int
+        Rows that are forces or base motions.
+    overload : tuple of bool
+        Channels that met the end of their range in this run.
+    """
+
+    state: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rate: float
+    scope: NDArray[np.float64]
+    lines: NDArray[np.float64]
+    spectrum: NDArray[np.float64]
+    curves: Curves | None = None
+    inputs: tuple[int, ...] = ()
+    hit: NDArray[np.float64] | None = None
+    hits: tuple[HitLine, ...] = ()
+    progress: tuple[Progress, ...] = ()
+    overload: tuple[bool, ...] = ()
+    time: float = 0.0
+    lost: int = 0
+    overflows: int = 0
+    volts: float = float("nan")
+    level: float = float("nan")
+    target: float = float("nan")
+    level_unit: str = ""
+    messages: tuple[str, ...] = ()
+    waiting: bool = False
+    finished: bool = False
+    extra: dict[str, str] = field(default_factory=dict)
+
+
+def curves(frf: Frf) -> Curves:
+    """An FRF of one or several inputs as curves, one for each pair."""
+    n_out, n_in, n_f = frf.value.shape
+    value = frf.value.reshape(n_out * n_in, n_f)
+    names = tuple(f"{o.name} / {i.name}" for o in frf.outputs for i in frf.inputs)
+    coherence = None if frf.coherence is None else np.repeat(frf.coherence, n_in, axis=0)
+    unit = f"{frf.outputs[0].unit} / {frf.inputs[0].unit}" if n_out and n_in else ""
+    return Curves(
+        frf.frequency, np.abs(value), np.degrees(np.angle(value)), coherence, names, unit, float(frf.n_averages)
+    )
+
+
+def spectrum(scope: NDArray, rate: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lines in Hz and amplitude densities, unit/sqrt(Hz), of the last samples through a Hann window."""
+    n = scope.shape[1]
+    if n < 16:
+        return np.zeros(0), np.zeros((scope.shape[0], 0))
+    shape = window("hann", n)
+    x = np.fft.rfft((scope - scope.mean(axis=1, keepdims=True)) * shape, axis=1)
+    return np.asarray(np.fft.rfftfreq(n, 1 / rate), float), np.asarray(
+        np.abs(x) * np.sqrt(2 / (rate * np.sum(shape**2))), float
+    )
+
+
+def scope_view(channels: tuple[Channel, ...], rate: float, latest: NDArray) -> dict[str, Any]:
+    """The part of a snapshot that comes from the last samples."""
+    lines, density = spectrum(latest, rate)
+    return {
+        "names": tuple(c.name for c in channels),
+        "units": tuple(c.unit for c in channels),
+        "inputs": tuple(i for i, c in enumerate(channels) if c.role in ("reference", "base")),
+        "rate": rate,
+        "scope": latest,
+        "lines": lines,
+        "spectrum": density,
+    }

@@ -1,0 +1,125 @@
+"""Proposed plans keep their own promises, and run as they stand."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from labnnum.errors import ModelError
+from labnnum.recording import Channel
+from labnnum.response import frf, modes
+from labnnum.structures.chain import Chain, Link
+from sessions.bench import measure
+from sessions.cli import app
+from sessions.plan import LINES, Wishes, propose
+from sessions.rig import parse_rig
+
+CHAIN = Chain(masses={"1": 2.0, "2": 1.0}, links=(Link("1", "ground", 8e5, 80.0), Link("1", "2", 5e5, 50.0)))
+MODEL = """
+[structure]
+kind = "chain"
+[[structure.mass]]
+node = "1"
+mass = 2.0
+[[structure.mass]]
+node = "2"
+mass = 1.0
+[[structure.link]]
+between = ["1", "ground"]
+stiffness = 8e5
+damping = 80.0
+[[structure.link]]
+between = ["1", "2"]
+stiffness = 5e5
+damping = 50.0
+"""
+CHANNELS = """
+[[channel]]
+name = "force"
+role = "reference"
+unit = "N"
+sensitivity = 0.05
+{place}
+[[channel]]
+name = "a2"
+unit = "m/s^2"
+sensitivity = 0.05
+node = "2"
+direction = "x"
+[generator]
+max_volts = 8.0
+[simulated]
+gain = 5.0
+input_noise = 0.0005
+[simulated.hammer]
+tip = "rubber"
+interval = {interval}
+"""
+
+
+@pytest.mark.parametrize("kind", sorted(LINES))
+@pytest.mark.parametrize("purpose", ["update", "diagnosis"])
+def test_promises(kind, purpose):
+    made = propose(CHAIN, CHAIN.nominal, (), Wishes(kind, purpose))
+    e = made.tables["excitation"]
+    found = modes(CHAIN, CHAIN.nominal)
+    assert e["low"] < found.frequency[0]
+    assert e["high"] > found.frequency[1]
+    rate = made.tables["device"]["rate"]
+    assert rate >= 2.56 * e["high"] * 0.999
+    width = float(np.min(2 * found.frequency * found.damping_ratio))
+    block = e.get("period") or made.tables.get("processing", {}).get("segment")
+    if block:
+        assert width * block / rate >= LINES[kind] * 0.999
+    if purpose == "diagnosis" and kind != "hammer":
+        assert len(e["levels"]) == 3
+        np.testing.assert_allclose(np.diff(20 * np.log10(e["levels"])), 10, atol=0.1)
+    assert all(made.reasons)
+    assert made.seconds > 0
+
+
+def test_the_highest_level_keeps_the_sensors_in_range():
+    free = propose(CHAIN, CHAIN.nominal, (), Wishes(top=10.0)).tables["excitation"]["levels"][0]
+    held = propose(CHAIN, CHAIN.nominal, (), Wishes(top=10.0, limit=50.0)).tables["excitation"]
+    assert free == 10.0
+    level = held["levels"][0]
+    lines = np.linspace(held["low"], held["high"], 20001)
+    tip, push = Channel("a", node="2", direction="x"), Channel("f", "force", "reference", "2", "x")
+    rms = level * np.sqrt(np.mean(np.abs(frf(CHAIN, [], lines, [tip], [push])) ** 2))
+    assert 4.5 * rms == pytest.approx(50.0, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["multisine", "random", "hammer"])
+def test_a_proposal_runs_and_reaches_its_random_error(tmp_path, kind):
+    wishes = Wishes(kind, error=0.05, top=50.0 if kind == "hammer" else 1.0, rate=1024.0, high=300.0)
+    made = propose(CHAIN, CHAIN.nominal, (), wishes)
+    place = "" if kind == "hammer" else 'node = "1"\ndirection = "x"'
+    text = made.toml + CHANNELS.format(place=place, interval=2.0)
+    text = text.replace("[plan]", '[plan]\npoints = ["1:x"]')
+    (tmp_path / "model.toml").write_text(MODEL)
+    outcome = measure(parse_rig(text, tmp_path / "rig.toml"), tmp_path / "out.h5")
+    assert outcome.complete
+    found = next(iter(outcome.frfs.values()))
+    peak = np.argmax(np.abs(found.value[0, 0]))
+    exact = frf(CHAIN, [], [found.frequency[peak]], found.outputs, found.inputs)[0, 0, 0]
+    assert abs(found.value[0, 0, peak] / exact - 1) < 0.1
+
+
+def test_a_band_without_modes_is_said():
+    with pytest.raises(ModelError, match="no mode of the model lies between"):
+        propose(CHAIN, CHAIN.nominal, (), Wishes(low=300.0, high=400.0))
+
+
+def test_command(tmp_path):
+    path = tmp_path / "model.toml"
+    path.write_text(MODEL)
+    result = CliRunner().invoke(app, ["plan", str(path), "--excitation", "stepped-sine", "--json"])
+    assert result.exit_code == 0
+    told = json.loads(result.stdout)
+    assert told["tables"]["excitation"]["kind"] == "stepped sine"
+    assert len(told["modes"]) == 2
+    text = CliRunner().invoke(app, ["plan", str(path), "--for", "diagnosis"]).stdout
+    assert "detection = 4" in text
+    bad = CliRunner().invoke(app, ["plan", str(path), "--excitation", "bang"])
+    assert "expected one of multisine" in str(bad.exception)

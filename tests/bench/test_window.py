@@ -1,0 +1,218 @@
+"""The live window: shows what it is given, sends the keys, and cannot hold up a measurement."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from labnnum.errors import LabnnumError
+from labnnum.recording import Channel
+from sessions.bench import measure
+from sessions.rig import parse_rig
+from sessions.snapshot import Curves, HitLine, Progress, Snapshot, scope_view
+from sessions.store import open_session
+
+needs_qt = pytest.mark.usefixtures("qtbot")
+CHANNELS = (Channel("hammer", "force", "reference"), Channel("a1"), Channel("a2"))
+
+
+def snapshot(n_hits=3, **more) -> Snapshot:
+    scope = np.random.default_rng(0).standard_normal((3, 512))
+    lines = np.linspace(0, 500, 200)
+    value = np.abs(np.sin(lines / 90))[None] * np.ones((2, 1))
+    drawn = Curves(lines, value, 90 * value, np.clip(value, 0, 1), ("a1 / hammer", "a2 / hammer"), "m/s^2 / N", 3.0)
+    hits = tuple(
+        HitLine(i, i != 1, "double hit: 30 %" if i == 1 else "all checks passed", 80.0 + i) for i in range(n_hits)
+    )
+    given = {
+        "curves": drawn, "hits": hits, "hit": scope, "overload": (False, True, False), "time": 12.5, "lost": 3,
+        "progress": (Progress("hammer 1:x", 1, 1), Progress("hammer 2:x", 2, 5, True)), "messages": ("mind the cable",),
+    }  # fmt: skip
+    return Snapshot("point 2:x: strike", **scope_view(CHANNELS, 1024.0, scope), **(given | more))
+
+
+@pytest.fixture
+def view(qtbot):
+    from sessions.window.view import View
+
+    sent = []
+    made = View(sent.append)
+    made.sent = sent
+    qtbot.addWidget(made)
+    made.show()
+    return made
+
+
+def test_everything_is_shown(view):
+    view.show_snapshot(snapshot())
+    assert view.state.text() == "point 2:x: strike"
+    assert [c.name() for c in view.scope.curves] == ["a1, m/s^2", "a2, m/s^2"]
+    assert [c.name() for c in view.inputs.curves] == ["hammer, N"]
+    assert len(view.spectrum.curves) == 3
+    for part in (view.magnitude, view.phase, view.coherence):
+        assert len(part.curves) == 2
+        assert part.curves[0].getOriginalDataset()[0].size == 200
+    assert [lamp.text() for lamp in view.lamps.lamps] == ["hammer", "a1 OVER", "a2", "3 lost, 0 overflows"]
+    assert view.hits.item(1, 3).text() == "double hit: 30 %"
+    assert view.hits.item(1, 2).text() == "rejected"
+    assert view.progress.topLevelItem(1).text(0) == "▶ hammer 2:x"
+    assert view.messages.text() == "mind the cable"
+    assert "12.5 s" in view.level.text()
+
+
+def test_a_shaker_run_is_shown_without_hits(view):
+    view.show_snapshot(snapshot(0, hit=None, level=1.9, target=2.0, level_unit="N", volts=0.4, curves=None))
+    assert "level 1.9 of 2 N RMS, generator 0.4 V" in view.level.text()
+    assert not view.hits.isVisible()
+    assert not view.hit.plot.isVisible()
+    assert view.magnitude.curves == []
+    view.show_snapshot(snapshot())
+    assert view.hits.isVisible()
+
+
+def test_keys_and_buttons_send_commands(view, qtbot):
+    from PySide6 import QtCore
+
+    view.show_snapshot(snapshot())
+    view.activateWindow()
+    qtbot.waitUntil(view.isActiveWindow)
+    key = QtCore.Qt.Key
+    for pressed in (key.Key_A, key.Key_R, key.Key_U, key.Key_N, key.Key_Space):
+        qtbot.keyClick(view, pressed)
+    assert view.sent == ["accept", "reject", "undo", "next", "next"]
+    view.hits.selectRow(1)
+    qtbot.mouseClick(view.buttons["accept"], QtCore.Qt.MouseButton.LeftButton)
+    assert view.sent[-1] == "accept 1"
+    qtbot.keyClick(view, key.Key_Escape)
+    assert view.sent[-1] == "stop"
+    assert not view.stop.isEnabled()
+    assert "generator off first" in view.state.text()
+
+
+def test_it_says_when_news_stop_and_when_it_is_over(view, qtbot, monkeypatch):
+    monkeypatch.setattr("sessions.window.view.SILENCE", 20)
+    view.show_snapshot(snapshot())
+    qtbot.waitUntil(lambda: "no news" in view.messages.text(), timeout=2000)
+    view.show_snapshot(snapshot(finished=True))
+    assert view.state.text().startswith("finished")
+    assert not view.stop.isEnabled()
+    view.ended()
+    assert not view.buttons["accept"].isEnabled()
+
+
+def test_a_hundred_pictures(view, qtbot):
+    for k in range(100):
+        view.show_snapshot(snapshot(k % 5, curves=None if k % 7 == 0 else snapshot().curves))
+        if k % 50 == 0:
+            qtbot.wait(1)
+    assert len(view.scope.curves) == 2
+
+
+def test_a_snapshot_computes_its_spectrum_right():
+    t = np.arange(4096) / 1024.0
+    view = scope_view(CHANNELS[:1], 1024.0, 3 * np.cos(2 * np.pi * 100 * t)[None])
+    density = view["spectrum"][0]
+    power = np.sum(density**2) * (view["lines"][1] - view["lines"][0])
+    assert power == pytest.approx(9 / 2, rel=1e-6)
+    assert view["lines"][np.argmax(density)] == pytest.approx(100.0)
+
+
+RIG = """
+[device]
+rate = 4096
+block = 256
+real_time = true
+buffer = 0.5
+[[channel]]
+name = "hammer"
+role = "reference"
+unit = "N"
+sensitivity = 0.02
+[[channel]]
+name = "a2"
+unit = "m/s^2"
+sensitivity = 0.01
+node = "1"
+direction = "x"
+[trigger]
+pre = 0.05
+duration = 0.3
+[plan]
+points = ["1:x"]
+hits = {hits}
+[simulated.hammer]
+tip = "rubber"
+interval = 0.45
+"""
+MODEL = """
+[structure]
+kind = "chain"
+[[structure.mass]]
+node = "1"
+mass = 1.0
+[[structure.link]]
+between = ["1", "ground"]
+stiffness = 1e6
+damping = 60.0
+"""
+
+
+def rig_of(folder, hits):
+    (folder / "model.toml").write_text(MODEL)
+    return parse_rig(RIG.format(hits=hits), folder / "rig.toml")
+
+
+@needs_qt
+def test_a_real_window_lives_through_a_real_time_session(tmp_path):
+    from sessions.window.link import Window
+
+    with Window(stay=False) as window:
+        outcome = measure(rig_of(tmp_path, 3), tmp_path / "out.h5", window)
+        assert window.alive
+    assert outcome.complete
+    assert window.process.returncode == 0
+
+
+@needs_qt
+def test_a_window_that_hangs_or_dies_loses_no_sample(tmp_path):
+    from sessions.window.link import Window
+
+    window = Window(stay=False)
+    os.kill(window.process.pid, signal.SIGSTOP)
+    try:
+        outcome = measure(rig_of(tmp_path, 4), tmp_path / "out.h5", window)
+    finally:
+        os.kill(window.process.pid, signal.SIGKILL)
+        window.close()
+    assert outcome.complete
+    with open_session(tmp_path / "out.h5") as session:
+        run = session.runs[0]
+        assert run.gaps() == ()
+        blocks = run.blocks
+    assert blocks["lost"].sum() == 0
+    np.testing.assert_array_equal(blocks["start"], 256 * np.arange(len(blocks)))
+
+
+@needs_qt
+def test_stop_from_the_window_switches_off_at_once(tmp_path):
+    from sessions.window.link import Window
+
+    window = Window(stay=False)
+    order = []
+    window.urgent = lambda: order.append("off")
+    window._hear("stop")
+    order += window.commands()
+    window.close()
+    assert order == ["off", "stop"]
+
+
+def test_a_window_that_cannot_open_says_why(monkeypatch):
+    from sessions.window import link
+
+    monkeypatch.setattr(link.sys, "executable", "/bin/false")
+    began = time.monotonic()
+    with pytest.raises(LabnnumError, match="measure without --live"):
+        link.Window()
+    assert time.monotonic() - began < 20

@@ -1,0 +1,178 @@
+"""Laws of every mechanism: exact response, exact derivatives, nothing at zero, the same physics in matrices."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis.engine import Engine, sweep
+from labnnum.diagnosis.places import all_terms, places_of
+from labnnum.errors import ConfigError
+from labnnum.mechanisms import CATALOGUE, extend
+from labnnum.recording import Channel
+from labnnum.response import frf, frf_sensitivity
+from labnnum.structures import Beam
+from sessions.model import parse_model
+
+BEAM = """
+[structure]
+kind = "beam"
+length = 0.4
+E = "E"
+rho = 2700.0
+width = 0.03
+height = 0.004
+elements = 6
+{base}
+[[structure.support]]
+node = "1"
+[damping]
+kind = "modal"
+ratio = 0.008
+[[parameter]]
+name = "E"
+nominal = 70e9
+lower = 60e9
+upper = 80e9
+std = 3e9
+"""
+FREQUENCY = np.linspace(10.0, 900.0, 60)
+S = 2j * np.pi * FREQUENCY
+
+
+def bench(base, tmp_path_factory):
+    """Structure, sensors, input and engine of a cantilever, shaken at its base or by a force."""
+    text = BEAM.format(base='base = "z"' if base else "")
+    structure = parse_model(text, tmp_path_factory.mktemp("model") / "model.toml").structure
+    assert isinstance(structure, Beam)
+    outputs = [Channel(f"a{i}", "acceleration", "response", str(i), "z") for i in (3, 5, 7)]
+    role = Channel("b", "acceleration", "base", "1", "z") if base else Channel("f", "force", "reference", "4", "z")
+    engine = Engine(structure, outputs, [role], (2 * np.pi * 10, 2 * np.pi * 900))
+    return structure, outputs, [role], engine
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["base", "force"])
+def cantilever(request, tmp_path_factory):
+    return bench(request.param, tmp_path_factory)
+
+
+def some_terms(engine):
+    """One term of each mechanism and variant kind."""
+    _, terms = all_terms(engine, places_of(engine), CATALOGUE)
+    seen, out = set(), []
+    for t in terms:
+        key = (t.mechanism.id, t.place.kind, t.variant.split(" ")[0])
+        if key not in seen:
+            seen.add(key)
+            out.append(t)
+    return out
+
+
+def values_of(term):
+    p = term.starts[len(term.starts) // 2].copy()
+    if term.data.get("extra_mode"):
+        p[2:] = [0.3, 0.2, 0.1]
+    return p
+
+
+def entry_of(term, p, outputs, inputs):
+    place = {k: v for k, v in term.place.as_dict().items() if v is not None}
+    values = {q.name: {"value": float(v), "unit": q.unit} for q, v in zip(term.parameters, p, strict=True)}
+    entry = {"id": term.mechanism.id, "place": place, "variant": term.variant, "parameters": values}
+    if term.data.get("extra_mode"):
+        entry |= {"dofs": [c.dof for c in outputs], "driven": [c.dof for c in inputs if c.role != "base"]}
+    return entry
+
+
+def test_engine_equals_the_structure_room(cantilever):
+    structure, outputs, inputs, engine = cantilever
+    ours = engine.response(engine.start(), (), S).value
+    theirs = frf(structure, structure.nominal, FREQUENCY, outputs, inputs)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9 * np.abs(theirs).max())
+
+
+def test_zero_parameters_exert_nothing(cantilever):
+    _, _, _, engine = cantilever
+    plain = engine.response(engine.start(), (), S).value
+    for term in some_terms(engine):
+        if not term.n:
+            continue
+        p = np.zeros(term.n) if not term.data.get("extra_mode") else np.array([100.0, 0.01, 0, 0, 0])
+        if term.mechanism.id in ("viscoelastic", "attached-oscillator"):
+            p = np.r_[0.0, term.starts[0, 1:]]
+        point = engine.start([term], p)
+        same = engine.response(point, [term], S).value
+        np.testing.assert_allclose(same, plain, rtol=1e-10, atol=1e-12 * np.abs(plain).max(), err_msg=term.mechanism.id)
+
+
+def test_extended_structure_is_the_same_physics(cantilever):
+    structure, outputs, inputs, engine = cantilever
+    for term in some_terms(engine):
+        # a modal loss or shear over the modes in band only, and exchanged channels, are no matrices
+        if term.data.get("swap") or term.data.get("shear") or term.variant == "structure":
+            continue
+        p = values_of(term)
+        extended = extend(structure, [entry_of(term, p, outputs, inputs)])
+        theirs, slope = frf_sensitivity(extended, extended.nominal, FREQUENCY, outputs, inputs)
+        ours = engine.response(engine.start([term], p), [term], S).value
+        np.testing.assert_allclose(
+            ours, theirs, rtol=1e-6, atol=1e-7 * np.abs(theirs).max(), err_msg=f"{term.mechanism.id} {term.variant}"
+        )
+        assert slope.shape[0] == 1 + term.n
+
+
+def test_derivatives_are_exact(cantilever):
+    _, _, _, engine = cantilever
+    for term in some_terms(engine):
+        point = replace(engine.start([term], values_of(term)), law=np.array([0.4]))
+        made = engine.response(point, [term], S, jacobian=True)
+        x = point.vector()
+        for j in range(x.size):
+            step = 1e-6 * max(abs(x[j]), 1e-3 if not 1 <= j <= term.n else abs(x[j]))
+            up, down = x.copy(), x.copy()
+            up[j] += step
+            down[j] -= step
+            ends = [engine.response(point.with_vector(v), [term], S).value for v in (up, down)]
+            slope = (ends[0] - ends[1]) / (2 * step)
+            np.testing.assert_allclose(
+                made.jacobian[j], slope, rtol=2e-3, atol=2e-4 * np.abs(slope).max(), err_msg=f"{term.mechanism.id} {j}"
+            )
+
+
+def test_sweep_equals_one_by_one_with_terms_held(cantilever):
+    _, _, _, engine = cantilever
+    terms = some_terms(engine)
+    held = [terms[0]]
+    point = engine.start(held, values_of(held[0]))
+    for term in terms[1::2]:
+        starts = term.starts[:3]
+        fast = sweep(engine, point, term, starts, S, held)
+        for value, p in zip(fast, starts, strict=True):
+            both = engine.start([*held, term], np.r_[values_of(held[0]), p])
+            one = engine.response(both, [*held, term], S).value
+            np.testing.assert_allclose(value, one, rtol=1e-7, atol=1e-10 * np.abs(one).max(), err_msg=term.mechanism.id)
+
+
+def test_passive_laws_dissipate(cantilever):
+    _, _, _, engine = cantilever
+    for term in some_terms(engine):
+        if term.mechanism.id in ("local-dashpot", "hysteretic-damping", "viscoelastic", "attached-oscillator"):
+            g = term.stiffness(S, values_of(term))
+            assert (np.imag(np.einsum("kkf->kf", g)) >= -1e-12 * np.abs(g).max()).all(), term.mechanism.id
+
+
+def test_every_mechanism_explains_itself():
+    assert len({m.id for m in CATALOGUE}) == len(CATALOGUE)
+    for m in CATALOGUE:
+        for text in (m.title, m.equation, m.shows, m.told_apart, m.symbol, m.reference):
+            assert text.strip(), m.id
+
+
+def test_mistakes_in_a_model_are_named(cantilever):
+    structure, *_ = cantilever
+    with pytest.raises(ConfigError, match="flubber"):
+        extend(structure, [{"id": "flubber"}])
+    with pytest.raises(ConfigError, match="no such place"):
+        extend(structure, [{"id": "added-mass", "place": {"kind": "node", "id": "99"}, "parameters": {}}])
+    with pytest.raises(ConfigError, match="'mass' is missing"):
+        extend(structure, [{"id": "added-mass", "place": {"kind": "node", "id": "3"}, "parameters": {}}])

@@ -1,0 +1,72 @@
+"""Clipping from samples alone: found where it is, not where a peak is merely smooth."""
+
+import numpy as np
+import pytest
+
+from labnnum.clipping import clipped_runs, noise_level, resolution, runs
+
+T = np.arange(20000) / 20000
+
+
+@pytest.mark.parametrize("cycles", [1, 3, 10, 50, 500])
+@pytest.mark.parametrize("bits", [0, 8, 12, 16])
+def test_an_unclipped_sine_is_not_clipped(cycles, bits):
+    x = np.sin(2 * np.pi * cycles * T)
+    assert clipped_runs(_digitised(x, bits)) == []
+
+
+@pytest.mark.parametrize("cycles", [1, 10, 500])
+@pytest.mark.parametrize("bits", [0, 12, 16])
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-2])
+def test_a_clipped_sine_is(cycles, bits, noise):
+    rng = np.random.default_rng(0)
+    x = np.sin(2 * np.pi * cycles * T) + noise * rng.standard_normal(T.size)
+    found = clipped_runs(_digitised(np.clip(x, -0.8, 0.8), bits))
+    assert len(found) >= 2 * cycles
+
+
+def test_clipping_on_one_side_is_found_there():
+    x = np.sin(2 * np.pi * 10 * T)
+    found = clipped_runs(np.minimum(x, 0.9))
+    assert len(found) == 10
+    assert all(x[a:b].min() >= 0.9 for a, b in found)
+
+
+def test_an_amplifier_that_clips_before_the_noise_is_found():
+    rng = np.random.default_rng(1)
+    x = np.clip(np.sin(2 * np.pi * 3 * T), -0.8, 0.8) + 1e-3 * rng.standard_normal(T.size)
+    assert clipped_runs(x)
+    assert clipped_runs(np.sin(2 * np.pi * 3 * T) + 1e-3 * rng.standard_normal(T.size)) == []
+
+
+def test_rest_is_not_a_rail():
+    gated = np.where((T > 0.1) & (T < 0.12), np.sin(np.pi * (T - 0.1) / 0.02), 0.0)
+    assert clipped_runs(gated) == []
+    assert clipped_runs(np.zeros(100)) == []
+    assert clipped_runs(np.array([0.0, 1.0])) == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("bits", [0, 8, 16])
+def test_noise_is_not_clipped(seed, bits):
+    x = np.random.default_rng(seed).standard_normal(20000)
+    assert clipped_runs(_digitised(x / 5, bits)) == []
+
+
+def test_a_known_rail_needs_no_plateau():
+    x = np.sin(2 * np.pi * 5 * T)
+    assert clipped_runs(x, full_scale=2.0) == []
+    assert len(clipped_runs(x, full_scale=1.0)) == 10
+
+
+def test_resolution_and_noise_are_measured():
+    rng = np.random.default_rng(2)
+    x = _digitised(0.5 * np.sin(2 * np.pi * 5 * T) + 0.01 * rng.standard_normal(T.size), 12)
+    assert resolution(x) == pytest.approx(1 / 2048)
+    assert noise_level(x) == pytest.approx(0.01, rel=0.15)
+    assert noise_level(np.zeros(10)) == 0
+    assert runs(np.zeros(3)) == []
+
+
+def _digitised(x, bits):
+    return np.round(x * 2 ** (bits - 1)) / 2 ** (bits - 1) if bits else x

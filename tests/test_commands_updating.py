@@ -1,0 +1,113 @@
+"""labnnum train and labnnum update, as typed."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from labnnum.response import frf
+from sessions import cli
+from sessions.estimates import latest_estimate
+from sessions.model import read_model
+from sessions.store import create_session, open_session
+
+from .test_updaters import IN, LINES, MODEL, OUT
+
+TRUTH = np.array([5400.0, 0.93])
+
+
+@pytest.fixture
+def type_in(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def run(line, status=0):
+        monkeypatch.setattr(sys, "argv", ["labnnum", *line.split()])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        shown = capsys.readouterr()
+        assert (end.value.code or 0) == status, shown.err
+        return shown
+
+    return run
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """A model file and a session with a measured FRF."""
+    from labnnum.frf import Frf
+
+    (tmp_path / "model.toml").write_text(MODEL)
+    structure = read_model(tmp_path / "model.toml").structure
+    value = frf(structure, TRUTH, LINES, OUT, IN)
+    rng = np.random.default_rng(0)
+    scatter = 0.01 * np.abs(value)
+    noise = scatter / np.sqrt(2) * (rng.standard_normal(value.shape) + 1j * rng.standard_normal(value.shape))
+    measured = Frf(LINES, value + noise, OUT, IN, variance=scatter**2)
+    with create_session(tmp_path / "run.h5") as session:
+        session.add_frf(measured)
+    return structure
+
+
+def test_train_on_a_measurement_then_update_it(type_in, bench, tmp_path):
+    said = json.loads(type_in("train model.toml --frf run.h5 --samples 64 -o u.h5 --json").out)
+    assert set(said["validation"]) == {"k", "m"}
+    shown = type_in("update run.h5 --updater u.h5 --json")
+    found = json.loads(shown.out)
+    for name, truth in zip(("k", "m"), TRUTH, strict=True):
+        one = found["parameters"][name]
+        assert abs(one["value"] - truth) < 4 * one["std"]
+    assert found["method"] == "network + least squares"
+    assert 0.6 < found["chi2"] < 1.5
+    with open_session(tmp_path / "run.h5") as session:
+        stored = latest_estimate(session)
+    assert stored.estimate["k"] == found["parameters"]["k"]["value"]
+    assert stored.frf == "results/frf/0001"
+    assert np.abs(stored.after - frf(bench, TRUTH, stored.frequency, OUT, IN)).max() < 0.1 * np.abs(stored.after).max()
+
+
+@pytest.mark.parametrize("method", ["least-squares", "output-error", "filter", "penalty"])
+def test_update_from_a_model_alone(type_in, bench, method):
+    found = json.loads(type_in(f"update run.h5 --model model.toml --method {method} --json --no-keep").out)
+    for name, truth in zip(("k", "m"), TRUTH, strict=True):
+        assert found["parameters"][name]["value"] == pytest.approx(truth, rel=0.05)
+
+
+def test_the_table_is_for_people_and_warnings_go_to_stderr(type_in, bench):
+    shown = type_in("update run.h5 --model model.toml")
+    assert "least squares" in shown.out
+    assert "5000" in shown.out
+    assert "warning" not in shown.out
+
+
+def test_train_without_a_measurement(type_in, bench, tmp_path):
+    shown = type_in(
+        "train model.toml --response 2:x --drive 1:x --step 0.1 --samples 64 --features integrals -o plain.h5"
+    )
+    assert "plain.h5" in shown.out
+    assert not list(tmp_path.glob("*.training"))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("update run.h5", "give --updater, or --model"),
+        ("update run.h5 --model model.toml --method magic", "--method 'magic': expected one of refined"),
+        ("update run.h5 --model model.toml --method network", "--method network needs --updater"),
+        ("update run.h5 --model model.toml --frf results/frf/0009", "has no FRF 'results/frf/0009'; there are"),
+        ("update none.h5 --model model.toml", "none.h5: no such session"),
+        ("update run.h5 --updater none.h5", "none.h5: no such updater"),
+        ("train model.toml -o u.h5", "give --response, --drive and --step"),
+        ("train model.toml -o run.h5 --frf run.h5", "run.h5: exists already"),
+        ("train model.toml -o u.h5 --response 2 --drive 1:x --step 0.1", 'expected "node:direction"'),
+        ("train model.toml -o u.h5 --response 7:x --drive 1:x --step 0.1", "no degree of freedom '7:x'"),
+        ("train model.toml -o u.h5 --response 2:x --drive 1:x --step -1", "--step -1 Hz must be positive"),
+        ("train model.toml -o u.h5 --frf run.h5 --features wavelet", "features 'wavelet' are not one of"),
+        ("train model.toml -o u.h5 --frf run.h5 --workers 0", "--workers 0: give 1 or more"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(type_in, bench, line, message):
+    shown = type_in(line, status=2)
+    assert message in shown.err
+    assert shown.err.count("\n") == 1
+    assert not shown.out
