@@ -586,8 +586,17 @@ def test_a_hit_at_another_point_is_found(tmp_path):
     assert "disagrees with the others on a2" in hits[2].reason
 
 
+@pytest.fixture
+def interruptible():
+    """Children heed SIGINT even where this process was started in the background, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="needs POSIX signals")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.usefixtures("interruptible")
 def test_signals_end_a_run_in_order(tmp_path, name):
     shaker_rig(tmp_path, ("block = 256", "block = 64\nreal_time = true"), ("periods = 4", "periods = 400"))
     out = tmp_path / "out.h5"
