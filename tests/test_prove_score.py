@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from labnnum.errors import ConfigError, FileError
-from sessions.prove import answers, measures, run, score, seal
+from sessions.prove import answers, listing, measures, run, score, seal, visible
 from sessions.prove.intervals import Share, clopper_pearson, half_point
 from sessions.prove.suite import draw
 
@@ -145,14 +145,14 @@ def test_the_table_counts_what_it_says():
     assert found["declared at all, visible, in the catalogue"].share == Share(2, 3)
     assert found["outside the catalogue, falsely named"].share == Share(1, 2)
     assert found['outside, "unexplained" at the right place'].share == Share(1, 2)
-    whys = [f["why"] for f in measures.failures(cases)]
+    whys = [f["why"] for f in listing.failures(cases)]
     assert whys == ["false alarm", "wrong name", "not named", "falsely named"]
 
 
 def test_groups_split_the_visible_single_faults():
     right = answer(where=place("node", "3"), mechanism="added-mass")
     cases = [scored("structure", right, fault()), scored("structure", answer("parameters"), fault(), visibility=5.0)]
-    found = {(g.by, g.value): (g.n, g.place, g.named, g.right) for g in measures.groups(cases)}
+    found = {(g.by, g.value): (g.n, g.place, g.named, g.right) for g in listing.groups(cases)}
     assert found[("structure", "chain")] == (2, 1, 1, 1)
     assert found[("visibility", "30 to 100")] == (1, 1, 1, 1)
     assert found[("visibility", "3 to 10")] == (1, 0, 0, 0)
@@ -179,7 +179,7 @@ def test_a_case_without_answer_counts_as_silence():
     t = truth(fault())
     silent = measures.Scored(t, None, 50.0, (50.0,), float("nan"), "it broke")
     assert by_name([silent])["declared at all, visible, in the catalogue"].share == Share(0, 1)
-    assert measures.failures([silent])[0]["why"] == "no answer: it broke"
+    assert listing.failures([silent])[0]["why"] == "no answer: it broke"
 
 
 def test_a_suite_is_the_same_for_its_seed_and_holds_every_family():
@@ -219,7 +219,7 @@ def oracle(truths):
 
 
 def test_a_whole_suite_with_an_oracle_reaches_every_goal(tmp_path, monkeypatch):
-    monkeypatch.setattr(score, "NULLS", 3)
+    monkeypatch.setattr(visible, "NULLS", 3)
     order = run.Order("linear", 14, 11, tmp_path, tool="oracle:diagnose")
     tickets, sha256 = run.start(order)
     truths = {c["case"]: c for c in seal.unseal(tmp_path)["cases"]}
@@ -238,7 +238,7 @@ def test_a_whole_suite_with_an_oracle_reaches_every_goal(tmp_path, monkeypatch):
 
 
 def test_a_tool_that_breaks_leaves_its_reason_and_is_asked_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(score, "NULLS", 2)
+    monkeypatch.setattr(visible, "NULLS", 2)
 
     def broken(recordings, model, out):
         raise ZeroDivisionError("by nought")

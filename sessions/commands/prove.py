@@ -20,13 +20,13 @@ def prove(
         int, typer.Option(help="Seed of the suite. 0 to 999 were used in development; take 1000 or above for a proof.")
     ] = 1000,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for truth, answers and score.")] = Path("prove"),
-    jobs: Annotated[int, typer.Option(help="Cases diagnosed at the same time.")] = 1,
+    jobs: Annotated[int, typer.Option(help="Cases computed at the same time.")] = 1,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings of every case.")] = False,
     draw_only: Annotated[
         bool, typer.Option("--draw-only", help="Write the case folders and the sealed truth, and diagnose nothing.")
     ] = False,
     score_only: Annotated[
-        bool, typer.Option("--score-only", help="Score the answers that are there, whoever gave them.")
+        bool, typer.Option("--score-only", help="Score the answers that are there so far, whoever gave them.")
     ] = False,
     tool: Annotated[
         str, typer.Option(help="module:function that diagnoses: (recordings, model, out) writes out/diagnosis.json.")
@@ -121,20 +121,31 @@ def _run(console: Console, order: Order, tickets: Any, sha256: str, score_only: 
 
 
 def _show(console: Console, found: dict[str, Any], out: Path) -> None:
+    where = f"{found['cases']} of {found['drawn']} concealed cases, suite {found['suite']}, seed {found['seed']}"
+    yes = {True: "yes", False: "NO", None: ""}
+    measures = [(m["name"], m["goal"], m["shown"], yes[m["reached"]]) for m in found["measures"]]
+    _table(console, where, ("measure", "to reach", "found (95 % Clopper-Pearson)", ""), measures)
+    limits = [(x["mechanism"], x["n"], x["visible"], x["named"], *_limit(x)) for x in found["limits"]]
+    names = ("mechanism", "cases", "visible", "named", "severity", "its own measure")
+    _table(console, "detection limits: where half are named", names, limits)
+    rates = [(r["family"], r["by"], r["value"], r["shown"]) for r in found["rates"]]
+    _table(console, "sound, or visible and as they should be", ("family", "by", "", "found"), rates)
+    failures = [(f["case"], f["why"], "; ".join(f["truth"]) or "nothing", f["said"]) for f in found["failures"]]
+    _table(console, f"{len(failures)} failures", ("case", "why", "what was there", "what was said"), failures)
+    console.print(f"the whole score is in {out / 'score.md'} and score.json", highlight=False)
+
+
+def _limit(x: dict[str, Any]) -> tuple[str, str]:
+    own = "-" if x["measure"] is None else f"{x['measure']:.3g}  {x['measure_of']}"
+    return "-" if x["severity"] is None else f"{x['severity']:.2f}", own
+
+
+def _table(console: Console, title: str, columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
     from rich.table import Table
 
-    table = Table(title=f"{found['cases']} concealed cases, suite {found['suite']}, seed {found['seed']}")
-    for name in ("measure", "to reach", "found (95 % Clopper-Pearson)", ""):
+    table = Table(title=title)
+    for name in columns:
         table.add_column(name)
-    for m in found["measures"]:
-        table.add_row(m["name"], m["goal"], m["shown"], {True: "yes", False: "NO", None: ""}[m["reached"]])
+    for row in rows:
+        table.add_row(*(str(cell) for cell in row))
     console.print(table)
-    limits = Table(title="detection limits: where half are named")
-    for name in ("mechanism", "cases", "visible", "named", "severity", "its own measure"):
-        limits.add_column(name)
-    for x in found["limits"]:
-        own = "-" if x["measure"] is None else f"{x['measure']:.3g}  {x['measure_of']}"
-        at = "-" if x["severity"] is None else f"{x['severity']:.2f}"
-        limits.add_row(x["mechanism"], str(x["n"]), str(x["visible"]), str(x["named"]), at, own)
-    console.print(limits)
-    console.print(f"{len(found['failures'])} failures are listed in {out / 'score.md'}", highlight=False)

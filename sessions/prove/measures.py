@@ -74,7 +74,7 @@ class Measure:
         out: dict[str, Any] = {
             "name": self.name,
             "goal": self.goal,
-            "value": _plain(self.value),
+            "value": plain(self.value),
             "reached": self.reached,
         }
         if self.share is not None:
@@ -82,7 +82,8 @@ class Measure:
         return out
 
 
-def _plain(value: float) -> float | None:
+def plain(value: float) -> float | None:
+    """The value as JSON takes it: None for NaN."""
     return None if np.isnan(value) else float(value)
 
 
@@ -113,18 +114,18 @@ def table(cases: Sequence[Scored]) -> list[Measure]:
         at_most("a null given a name", [j.named for j in nulls], 0.01),
     ]
     for group, limit in (("nonlinear", 0.97), ("channel", 0.95), ("linear", 0.85)):
-        flags = [_is(c, "place_right") for c in inside if c.group == group]
+        flags = [says(c, "place_right") for c in inside if c.group == group]
         if flags or group != "nonlinear":
             out.append(at_least(f"place, first choice, visible: {group}", flags, limit))
     named = [c.judged for c in inside if c.judged and c.judged.named]
     out += [
         at_least("right among the names declared, visible", [j.name_right for j in named], 0.97),
         at_least("name and place right among the names declared", [j.both_right for j in named], 0.90),
-        at_least("declared at all, visible, in the catalogue", [_is(c, "named") for c in inside], 0.85),
-        at_most("outside the catalogue, falsely named", [_is(c, "named") for c in outside], 0.05),
+        at_least("declared at all, visible, in the catalogue", [says(c, "named") for c in inside], 0.85),
+        at_most("outside the catalogue, falsely named", [says(c, "named") for c in outside], 0.05),
         at_least('outside, "unexplained" at the right place', [_unexplained(c) for c in outside], 0.85),
         at_least("two at once: both named", [_found(c, all) for c in doubles], 0.60),
-        at_least("two at once: first named is one of them", [_is(c, "name_right") for c in doubles], 0.90),
+        at_least("two at once: first named is one of them", [says(c, "name_right") for c in doubles], 0.90),
     ]
     further = count([_wrong_further(j) for j in named])
     out.append(Measure("a further name that is wrong, one fault", "-", str(further), further.value, None, further))
@@ -140,7 +141,8 @@ def _answers(cases: Sequence[Scored], keep: Callable[[Scored], bool]) -> list[Ju
     return [c.judged for c in cases if keep(c) and c.judged is not None]
 
 
-def _is(case: Scored, what: str) -> bool:
+def says(case: Scored, what: str) -> bool:
+    """Whether a property of `Judged` holds; a case without an answer has none."""
     return case.judged is not None and bool(getattr(case.judged, what))
 
 
@@ -184,14 +186,14 @@ def parameters(cases: Sequence[Scored]) -> list[Measure]:
 
 
 def times(cases: Sequence[Scored]) -> list[Measure]:
-    """Seconds a case."""
+    """Processor seconds a case."""
     seconds = np.array([c.seconds for c in cases if c.judged is not None], float)
     seconds = seconds[np.isfinite(seconds)]
     if not seconds.size:
         return []
     middle, most = (float(x) for x in np.percentile(seconds, [50, 95]))
     shown = f"median {middle:.2f} s, 95 % {most:.2f} s"
-    return [Measure("time a case", "median <= 5 s, 95 % <= 30 s", shown, middle, middle <= 5 and most <= 30)]
+    return [Measure("processor time a case", "median <= 5 s, 95 % <= 30 s", shown, middle, middle <= 5 and most <= 30)]
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,7 @@ class Limit:
 
     def as_dict(self) -> dict[str, Any]:
         """As score.json holds it."""
-        out = self.__dict__ | {"severity": _plain(self.severity), "measure": _plain(self.measure)}
+        out = self.__dict__ | {"severity": plain(self.severity), "measure": plain(self.measure)}
         return dict(out)
 
 
@@ -219,7 +221,7 @@ def limits(cases: Sequence[Scored]) -> list[Limit]:
     for mechanism in sorted({c.truth["faults"][0]["mechanism"] for c in single}):
         group = [c for c in single if c.truth["faults"][0]["mechanism"] == mechanism]
         faults = [c.truth["faults"][0] for c in group]
-        found = [_is(c, "name_right") for c in group]
+        found = [says(c, "name_right") for c in group]
         at = half_point([f["severity"] for f in faults], found)
         kinds = {f["measure_of"] for f in faults}
         one = len(kinds) == 1
@@ -245,88 +247,3 @@ def _measure_at(faults: Sequence[Mapping[str, Any]], severity: float) -> float:
         return float("nan")
     slope, start = np.polyfit(x, y, 1)
     return float(np.exp(start + slope * severity))
-
-
-@dataclass(frozen=True)
-class Group:
-    """Visible single faults of the catalogue that share a property, and what became of them."""
-
-    by: str
-    value: str
-    n: int
-    place: int
-    named: int
-    right: int
-
-
-def groups(cases: Sequence[Scored]) -> list[Group]:
-    """The same cases split by structure, excitation, number of sensors and visibility."""
-    seen = [c for c in cases if c.family in ("structure", "channel", "nonlinear") and c.visible]
-    splits: dict[str, Callable[[Scored], str]] = {
-        "structure": lambda c: str(c.truth["kind"]),
-        "excitation": lambda c: str(c.truth["excitation"]),
-        "sensors": lambda c: _bin(c.truth["sensors"], (2, 4, 6), "{} to {}"),
-        "visibility": lambda c: _bin(c.visibility, (3, 10, 30, 100), "{} to {}"),
-    }
-    return [
-        _group(by, value, [c for c in seen if of(c) == value])
-        for by, of in splits.items()
-        for value in sorted({of(c) for c in seen})
-    ]
-
-
-def _bin(value: float, edges: Sequence[int], words: str) -> str:
-    at = max(i for i, e in enumerate(edges) if value >= e or i == 0)
-    return words.format(edges[at], edges[at + 1]) if at + 1 < len(edges) else f"{edges[at]} and more"
-
-
-def _group(by: str, value: str, cases: Sequence[Scored]) -> Group:
-    counts = (sum(_is(c, what) for c in cases) for what in ("place_right", "named", "name_right"))
-    return Group(by, value, len(cases), *counts)
-
-
-def failures(cases: Sequence[Scored]) -> list[dict[str, Any]]:
-    """Every case that did not come out as it should, with what was there and what was said."""
-    return [_failure(c, why) for c in cases if (why := _why(c))]
-
-
-def _why(case: Scored) -> str:
-    if case.judged is None:
-        return f"no answer: {case.error}"
-    j = case.judged
-    if case.family == "null":
-        return "named" if j.named else "false alarm" if j.alarm else ""
-    if not case.visible:
-        return "invisible, and wrongly named" if j.named and not j.name_right else ""
-    if case.family == "outside":
-        wrong = "falsely named" if j.named else "" if j.verdict == "unexplained" else f'"{j.verdict}"'
-        return wrong or ("" if j.place_right else _elsewhere(j))
-    if case.family == "double":
-        return "" if all(j.found) else "one of two" if any(j.found) else "none of two"
-    if not j.named:
-        return "not named" if j.place_right else f"not named, {_elsewhere(j)}"
-    return ("" if j.name_right else "wrong name") or ("" if j.both_right else _elsewhere(j))
-
-
-def _elsewhere(judged: Judged) -> str:
-    return "next to the place" if judged.adjacent else "wrong place"
-
-
-def _failure(case: Scored, why: str) -> dict[str, Any]:
-    truth = case.truth
-    return {
-        "case": truth["case"],
-        "why": why,
-        "family": case.family,
-        "structure": truth["kind"],
-        "excitation": truth["excitation"],
-        "sensors": truth["sensors"],
-        "visibility": _plain(case.visibility),
-        "truth": [
-            f"{f['mechanism']} at {f['place']['kind']} {f['place']['id']}"
-            + (f"-{f['place']['to']}" if f["place"]["to"] else "")
-            + f", severity {f['severity']:.2f}"
-            for f in truth["faults"]
-        ],
-        "said": case.judged.said if case.judged else "",
-    }

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from labnnum.errors import ConfigError, LabnnumError
 from sessions.prove import score, seal
 from sessions.prove.cases import measure, write_case
+from sessions.prove.jobs import each
 from sessions.prove.suite import Ticket, draw
 
 TOOL = "sessions.diagnose:diagnose_files"
-THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 Step = Callable[[str, int, int], None]
 """Told what is being done, how much of it is done, and how much there is."""
@@ -58,11 +56,16 @@ def start(order: Order) -> tuple[tuple[Ticket, ...], str]:
 
 def write_all(order: Order, tickets: Sequence[Ticket], step: Step = quiet) -> None:
     """Write the case folders only, so that any tool can be run on them."""
-    for i, ticket in enumerate(tickets):
-        folder = case_folder(order.out, ticket.name)
-        if not (folder / "model.toml").is_file():
-            write_case(measure(ticket.conceal()), folder)
-        step("drawing", i + 1, len(tickets))
+    todo = [t for t in tickets if not (case_folder(order.out, t.name) / "model.toml").is_file()]
+    done = len(tickets) - len(todo)
+    step("drawing", done, len(tickets))
+    for _ in each(partial(_write, out=order.out), todo, order.jobs):
+        done += 1
+        step("drawing", done, len(tickets))
+
+
+def _write(ticket: Ticket, out: Path) -> None:
+    write_case(measure(ticket.conceal()), case_folder(out, ticket.name))
 
 
 def case_folder(out: Path, case: str) -> Path:
@@ -76,7 +79,8 @@ def diagnose_all(order: Order, tickets: Sequence[Ticket], step: Step = quiet) ->
     todo = [t for t in tickets if not score.answer_path(order.out, t.name).is_file()]
     done = len(tickets) - len(todo)
     step("diagnosing", done, len(tickets))
-    for _ in _each(order, todo):
+    ask = partial(answer, out=order.out, keep=order.keep, tool=order.tool)
+    for _ in each(ask, todo, order.jobs):
         done += 1
         step("diagnosing", done, len(tickets))
 
@@ -88,24 +92,6 @@ def load(tool: str) -> Callable[..., Any]:
         return getattr(import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(f"--tool {tool}: {error}; it must be module:function") from None
-
-
-def _each(order: Order, todo: Sequence[Ticket]) -> Iterator[str]:
-    if order.jobs == 1:
-        for ticket in todo:
-            yield answer(ticket, order.out, order.keep, order.tool)
-        return
-    for name in THREAD_SETTINGS:
-        os.environ.setdefault(name, "1")
-    pool = ProcessPoolExecutor(order.jobs, mp_context=get_context("spawn"))
-    try:
-        waiting: set[Future[str]] = {pool.submit(answer, t, order.out, order.keep, order.tool) for t in todo}
-        while waiting:
-            ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in ready:
-                yield future.result()
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
 
 
 def answer(ticket: Ticket, out: Path, keep: bool, tool: str) -> str:
@@ -135,14 +121,8 @@ def answer(ticket: Ticket, out: Path, keep: bool, tool: str) -> str:
 
 def score_all(order: Order, tickets: Sequence[Ticket], sha256: str, step: Step = quiet) -> dict[str, Any]:
     """Score what was answered so far; writes score.json and score.md."""
-    seen: list[str] = []
-
-    def one(name: str) -> None:
-        seen.append(name)
-        step("scoring", len(seen), len(tickets))
-
-    cases = score.read(order.out, tickets, one)
+    cases = score.read(order.out, tickets, order.jobs, partial(step, "scoring"))
     head = {"schema": 1, "suite": order.suite, "seed": order.seed, "sha256": sha256, "tool": order.tool}
-    found = score.summary(cases, head)
+    found = score.summary(cases, {**head, "drawn": len(tickets)})
     score.write(order.out, found)
     return found

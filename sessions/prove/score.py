@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from labnnum.errors import FileError
-from sessions.prove import measures, seal
+from sessions.prove import listing, measures, seal
 from sessions.prove.answers import judge
-from sessions.prove.cases import KINDS, Case
 from sessions.prove.measures import Scored
-from sessions.prove.referee import misfit
 from sessions.prove.suite import Ticket
-
-NULLS = 16
-"""Sound structures of each kind that fix the null median of the referee, besides those of the suite."""
-NULL_SEED = 500
+from sessions.prove.visible import Step, silent, visibilities
 
 
 def answer_path(folder: Path, case: str) -> Path:
@@ -27,48 +20,12 @@ def answer_path(folder: Path, case: str) -> Path:
     return folder / "answers" / case / "diagnosis.json"
 
 
-def null_median(kind: str) -> float:
-    """Median chi2 that the referee leaves on sound structures of a kind, development seeds."""
-    found = [misfit(Ticket("null", NULL_SEED + i, "null", kind, (), (), "multisine").conceal()) for i in range(NULLS)]
-    return float(np.median(found))
-
-
-def visibilities(
-    tickets: Sequence[Ticket], folder: Path, step: Callable[[str], None] = lambda _: None
-) -> dict[str, dict[str, Any]]:
-    """Visibility of every faulty case and of each of its faults alone, kept in visibility.json of `folder`."""
-    path = folder / "visibility.json"
-    known: dict[str, dict[str, Any]] = json.loads(path.read_text("utf-8")) if path.is_file() else {}
-    medians = {k: v for k, v in known.get("null median", {}).items()}
-    for kind in KINDS:
-        if kind not in medians and any(t.kind == kind for t in tickets):
-            medians[kind] = null_median(kind)
-    known["null median"] = medians
-    for ticket in tickets:
-        if ticket.name not in known:
-            known[ticket.name] = _visibility(ticket, medians[ticket.kind])
-        step(ticket.name)
-    path.write_text(json.dumps(known, indent=1), encoding="utf-8")
-    return known
-
-
-def _visibility(ticket: Ticket, median: float) -> dict[str, Any]:
-    whole = misfit(ticket.conceal()) / median
-    if len(ticket.faults) < 2:
-        return {"whole": whole, "alone": [whole] * len(ticket.faults)}
-    return {"whole": whole, "alone": [misfit(c) / median for c in _singles(ticket)]}
-
-
-def _singles(ticket: Ticket) -> list[Case]:
-    """The case with one of its faults at a time."""
-    return [ticket.alone(i).conceal() for i in range(len(ticket.faults))]
-
-
-def read(folder: Path, tickets: Sequence[Ticket], step: Callable[[str], None] = lambda _: None) -> list[Scored]:
-    """All cases of a suite that was run in `folder`, scored one by one."""
+def read(folder: Path, tickets: Sequence[Ticket], jobs: int = 1, step: Step = silent) -> list[Scored]:
+    """All cases of a suite that were answered so far in `folder`, scored one by one."""
     truths = {c["case"]: c for c in seal.unseal(folder)["cases"]}
-    shown = visibilities(tickets, folder, step)
-    return [_scored(folder, truths[t.name], shown[t.name]) for t in tickets if _tried(folder, t.name)]
+    tried = [t for t in tickets if _tried(folder, t.name)]
+    shown = visibilities(tried, folder, jobs, step)
+    return [_scored(folder, truths[t.name], shown[t.name]) for t in tried]
 
 
 def _tried(folder: Path, case: str) -> bool:
@@ -90,7 +47,7 @@ def _scored(folder: Path, truth: dict[str, Any], shown: dict[str, Any]) -> Score
     except ValueError as error:
         raise FileError(f"{path} is not JSON: {error}; delete it to have the case diagnosed again") from None
     time = path.with_name("time.json")
-    seconds = json.loads(time.read_text("utf-8"))["wall_s"] if time.is_file() else float("nan")
+    seconds = json.loads(time.read_text("utf-8"))["cpu_s"] if time.is_file() else float("nan")
     return Scored(truth, judge(truth, answer), shown["whole"], alone, float(seconds))
 
 
@@ -103,8 +60,9 @@ def summary(cases: Sequence[Scored], head: dict[str, Any]) -> dict[str, Any]:
         "visible": sum(c.visible for c in cases if c.family != "null"),
         "measures": [m.as_dict() | {"shown": m.shown} for m in measures.table(cases)],
         "limits": [x.as_dict() for x in measures.limits(cases)],
-        "groups": [g.__dict__ for g in measures.groups(cases)],
-        "failures": measures.failures(cases),
+        "groups": [g.__dict__ for g in listing.groups(cases)],
+        "rates": [r.__dict__ for r in listing.rates(cases)],
+        "failures": listing.failures(cases),
     }
 
 
@@ -114,8 +72,8 @@ def markdown(score: dict[str, Any]) -> str:
     lines = [
         f"# Concealed suite `{score['suite']}`, seed {score['seed']}",
         "",
-        f"{score['cases']} cases ({families}); {score['visible']} of the faulty ones visible."
-        f" Sealed truth SHA-256 `{score['sha256']}`.",
+        f"{score['cases']} of {score['drawn']} cases answered ({families});"
+        f" {score['visible']} of the faulty ones visible. Sealed truth SHA-256 `{score['sha256']}`.",
         "",
         "| measure | to reach | found, with 95 % Clopper-Pearson interval | |",
         "|---|---|---|---|",
@@ -135,6 +93,14 @@ def markdown(score: dict[str, Any]) -> str:
             f"| {g['by']} | {g['value']} | {g['n']} | {g['place']} | {g['named']} | {g['right']} |"
             for g in score["groups"]
         ),
+        "",
+        "## Families, by structure and excitation",
+        "",
+        "Sound cases, and faulty ones that are visible, that came out as they should.",
+        "",
+        "| family | by | | as they should, with 95 % interval |",
+        "|---|---|---|---|",
+        *(f"| {r['family']} | {r['by']} | {r['value']} | {r['shown']} |" for r in score["rates"]),
         "",
         f"## Failures ({len(score['failures'])})",
         "",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator, default_rng
 
 from labnnum.errors import ConfigError
-from sessions.prove.cases import BESIDE_LAWS, KINDS, Case, conceal, fits
+from sessions.prove.cases import BESIDE_LAWS, KINDS, LAWS, Case, conceal, fits
 from sessions.prove.truth.channels import CHANNEL
 from sessions.prove.truth.nonlinear import NONLINEAR, OUTSIDE_LAWS
 from sessions.prove.truth.outside import OUTSIDE
@@ -51,6 +51,11 @@ class Ticket:
     faults: tuple[str, ...]
     severities: tuple[float, ...]
     excitation: str
+
+    @property
+    def lawful(self) -> bool:
+        """Whether a nonlinear law acts in it."""
+        return bool(set(self.faults) & set(LAWS))
 
     def conceal(self) -> Case:
         """The truth of this case, without samples."""
