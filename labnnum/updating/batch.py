@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labnnum.errors import ModelError
-from labnnum.parameters import bounds
+from labnnum.parameters import Parameter, bounds
 from labnnum.recording import Channel
 from labnnum.response import ChannelView, frf, frf_sensitivity
 from labnnum.structures.base import Structure
@@ -302,6 +302,16 @@ class FrfBatch:
             if error <= allowed:
                 return cls(structure, lines, tuple(outputs), tuple(inputs), engine, view.power, view.carried, error)
         return plain
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Free parameters of the structure."""
+        return tuple(self.structure.parameters)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of one FRF: (n_out, n_in, n_f)."""
+        return len(self.outputs), len(self.inputs), self.frequency.size
 
     def frf(self, theta: ArrayLike) -> NDArray[np.complex128]:
         """FRFs, shape (n, n_out, n_in, n_f), of parameter sets (n, n_parameters)."""

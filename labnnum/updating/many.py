@@ -6,17 +6,39 @@ are independent from line to line: verification, benchmarks, parameters that dri
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labnnum.parameters import bounds
-from labnnum.updating.batch import FrfBatch
+from labnnum.parameters import Parameter, bounds
 
 _BYTES = 64 << 20
 """Memory that the slopes of one group may take."""
+
+
+class ManyFrfs(Protocol):
+    """What computes the FRFs of many parameter sets at once: `FrfBatch`, `SweepBatch`."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Free parameters."""
+        ...
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of one FRF: (n_out, n_in, n_f)."""
+        ...
+
+    def frf(self, theta: ArrayLike) -> NDArray[np.complex128]:
+        """FRFs, shape (n, n_out, n_in, n_f), of parameter sets (n, n_parameters)."""
+        ...
+
+    def sensitivity(self, theta: ArrayLike) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """FRFs and their derivatives, shape (n, n_parameters, n_out, n_in, n_f)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +62,7 @@ class Many:
 
 
 def refine_many(
-    batch: FrfBatch,
+    batch: ManyFrfs,
     measured: NDArray,
     start: ArrayLike,
     *,
@@ -54,7 +76,7 @@ def refine_many(
 
     Parameters
     ----------
-    batch : FrfBatch
+    batch : ManyFrfs
     measured : ndarray, shape (n, n_out, n_in, n_f)
     start : array_like, shape (n, n_parameters)
     scatter : ndarray, broadcastable to `measured`, optional
@@ -76,7 +98,7 @@ def refine_many(
        \quad\text{or}\quad \sum_{o,i,f} |H(\theta) - \hat H|^2 / \sigma^2
     """
     first = np.atleast_2d(np.asarray(start, float))
-    parameters = batch.structure.parameters
+    parameters = batch.parameters
     low, high = bounds(parameters)
     wide = reach * (high - low)
     limits = (np.where(low > 0, np.maximum(low - wide, 0.05 * low), low - wide), high + wide)
@@ -96,11 +118,38 @@ def refine_many(
     return Many(*(np.concatenate([getattr(g, f) for g in groups]) for f in ("value", "cost", "steps", "converged")))
 
 
+def refine_from(batch: ManyFrfs, measured: NDArray, starts: Sequence[ArrayLike], limit: float, **settings: Any) -> Many:
+    """The same from several starts: sets whose cost exceeds `limit` are tried from the next one; the lowest is kept.
+
+    Parameters
+    ----------
+    starts : sequence of array_like, each (n, n_parameters)
+        Most trusted first.
+    limit : float
+        Cost below which a set is taken as explained by its noise.
+    settings
+        Of `refine_many`.
+    """
+    found = refine_many(batch, measured, starts[0], **settings)
+    for start in starts[1:]:
+        again = np.flatnonzero(~(found.cost <= limit))
+        if not again.size:
+            break
+        scatter = settings.get("scatter")
+        own = settings if scatter is None else {**settings, "scatter": np.broadcast_to(scatter, measured.shape)[again]}
+        other = refine_many(batch, measured[again], np.asarray(start, float)[again], **own)
+        better = other.cost < found.cost[again]
+        for name in ("value", "cost", "converged"):
+            getattr(found, name)[again[better]] = getattr(other, name)[better]
+        found.steps[again] += other.steps
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class _Group:
     """Measurements that are refined together."""
 
-    batch: FrfBatch
+    batch: ManyFrfs
     measured: NDArray
     scatter: NDArray | None
     spread: NDArray
@@ -215,7 +264,7 @@ def _damped(normal: NDArray, gradient: NDArray, damping: NDArray) -> NDArray[np.
     return step * root
 
 
-def bound_deviations(batch: FrfBatch, theta: ArrayLike, scatter: float | NDArray) -> NDArray[np.float64]:
+def bound_deviations(batch: ManyFrfs, theta: ArrayLike, scatter: float | NDArray) -> NDArray[np.float64]:
     r"""Least standard deviations that any unbiased estimate can have (Cramer and Rao), shape (n, n_parameters).
 
     Parameters
@@ -226,11 +275,9 @@ def bound_deviations(batch: FrfBatch, theta: ArrayLike, scatter: float | NDArray
         Standard deviation of the complex Gaussian error of each line: as a share of \|H\| where it is a number.
     """
     rows = np.atleast_2d(np.asarray(theta, float))
-    spread = np.array([p.spread for p in batch.structure.parameters])
+    spread = np.array([p.spread for p in batch.parameters])
     out = []
-    step = max(
-        1, _BYTES // (len(spread) * 16 * 3 * max(1, batch.frequency.size * len(batch.outputs) * len(batch.inputs)))
-    )
+    step = max(1, _BYTES // (len(spread) * 16 * 3 * int(np.prod(batch.shape))))
     for a in range(0, len(rows), step):
         value, slope = batch.sensitivity(rows[a : a + step])
         size = np.abs(value) * scatter if np.ndim(scatter) == 0 else np.broadcast_to(scatter, value.shape)
