@@ -1,6 +1,7 @@
 """Updater files (.h5): a trained network with its bands, range, model and validation, to load years later.
 
-Layout of format 1: arrays of the network under /network, of the novelty check under /novelty; frequency, validation
+Layout of format 1: arrays of the network under /network, of the features under /features (where they have any), of
+the novelty check under /novelty; frequency, validation
 and fingerprint at the root; everything else as JSON in /about; the model file's text in /model.toml.
 """
 
@@ -21,8 +22,8 @@ from labnnum.bands import Band
 from labnnum.errors import FileError
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
-from labnnum.updating.features import make_features
 from labnnum.updating.fingerprint import fingerprint, require_same
+from labnnum.updating.kinds import make_features
 from labnnum.updating.network import RbfNetwork
 from labnnum.updating.novelty import Novelty
 from labnnum.updating.training import TrainingSet
@@ -121,10 +122,17 @@ def _write(file: Any, updater: Updater, path: Path, model: Model | None) -> None
     file.create_dataset("frequency", data=updater.frequency)
     file.create_dataset("validation", data=updater.validation)
     file.create_dataset("fingerprint", data=fingerprint(updater.structure))
+    features = updater.features.settings()
+    large = {key: value for key, value in features.items() if isinstance(value, np.ndarray)}
+    for key, value in large.items():
+        file.create_dataset(f"features/{key}", data=value)
     about = {
         "parameters": [p.name for p in updater.structure.parameters],
         "bands": [asdict(b) for b in updater.bands],
-        "features": {"kind": updater.features.kind, **updater.features.settings()},
+        "features": {
+            "kind": updater.features.kind,
+            **{k: v for k, v in features.items() if k not in large},
+        },
         "outputs": [asdict(c) for c in updater.outputs],
         "inputs": [asdict(c) for c in updater.inputs],
         "settings": updater.settings,
@@ -145,6 +153,7 @@ def _read(file: Any, path: Path, structure: Structure | None) -> Updater:
     scalars = {"degree": int, "kernel": str, "kind": str, "gamma": float}
     arrays |= {key: kind(group.attrs[key]) for key, kind in scalars.items()}
     told = dict(about["features"])
+    told |= {key: dataset[()] for key, dataset in file["features"].items()} if "features" in file else {}
     return Updater(
         structure=structure,
         features=make_features(told.pop("kind"), [Band(**b) for b in about["bands"]], **told),

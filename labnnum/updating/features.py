@@ -1,10 +1,11 @@
 """Features: the few numbers that stand for an FRF when a network looks at it.
 
-Three kinds, each a frozen dataclass with the bands it covers:
+Four kinds, each a frozen dataclass with the bands it covers, three of them here:
 
 - `BandIntegrals`: integrals of the real and imaginary part (the dissertation's own);
 - `LogBands`: means of log |H| and of the phasor over sub-bands, with energy and centroid of each band;
-- `SphereBands`: means of the FRF on the Riemann sphere, bounded even where an undamped FRF is not.
+- `SphereBands`: means of the FRF on the Riemann sphere, bounded even where an undamped FRF is not;
+- `labnnum.updating.scores.ScoreBands`: every line weighed by what it says about the parameters, for noisy data.
 
 All are smooth functions of the FRF, batch over leading axes, and know nothing of networks.
 """
@@ -32,11 +33,13 @@ class Features(ABC):
     """A map from FRFs to feature vectors."""
 
     kind: ClassVar[str]
+    components: ClassVar[int] = 24
+    """Principal components, at most, that a network is given."""
     bands: tuple[Band, ...]
 
     @abstractmethod
-    def blocks(self, frequency: NDArray, value: NDArray) -> NDArray[np.float64]:
-        """Features of each output-input pair, shape (..., n_out, n_in, n_per_pair)."""
+    def __call__(self, frequency: NDArray, value: NDArray) -> NDArray[np.float64]:
+        """Feature vectors, shape (..., n_features), of FRFs of shape (..., n_out, n_in, n_f)."""
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
@@ -47,20 +50,28 @@ class Features(ABC):
         del frequency, value
         return self
 
-    def __call__(self, frequency: NDArray, value: NDArray) -> NDArray[np.float64]:
-        """Feature vectors, shape (..., n_features), of FRFs of shape (..., n_out, n_in, n_f)."""
-        blocks = self.blocks(np.asarray(frequency, float), np.asarray(value))
-        return blocks.reshape(*blocks.shape[:-3], -1)
-
     def of(self, frf: Frf) -> NDArray[np.float64]:
         """Feature vector of one Frf, shape (n_features,); BandError where it does not cover the bands."""
         check_bands(self.bands, frf.frequency)
         return self(frf.frequency, frf.value)
 
 
+class PairFeatures(Features):
+    """Features that every output-input pair has of its own."""
+
+    @abstractmethod
+    def blocks(self, frequency: NDArray, value: NDArray) -> NDArray[np.float64]:
+        """Features of each output-input pair, shape (..., n_out, n_in, n_per_pair)."""
+
+    def __call__(self, frequency: NDArray, value: NDArray) -> NDArray[np.float64]:
+        """Feature vectors, shape (..., n_features), of FRFs of shape (..., n_out, n_in, n_f)."""
+        blocks = self.blocks(np.asarray(frequency, float), np.asarray(value))
+        return blocks.reshape(*blocks.shape[:-3], -1)
+
+
 @final
 @dataclass(frozen=True)
-class BandIntegrals(Features):
+class BandIntegrals(PairFeatures):
     """Integrals of Re H and Im H over each band, times the band's weights.
 
     Source: Atalla (1996), section 4.5 and equation 4.48 (a part of weight 0 is left out).
@@ -92,7 +103,7 @@ class BandIntegrals(Features):
 
 @final
 @dataclass(frozen=True)
-class LogBands(Features):
+class LogBands(PairFeatures):
     r"""Means of log \|H\| and of the phasor over sub-bands; energy, centroid and spread of each band.
 
     Parameters
@@ -135,7 +146,7 @@ class LogBands(Features):
 
 @final
 @dataclass(frozen=True)
-class SphereBands(Features):
+class SphereBands(PairFeatures):
     """Means over sub-bands of the FRF's image on the Riemann sphere: bounded for undamped structures.
 
     h = H / scale maps to (2 Re h, 2 Im h, |h|^2 - 1) / (|h|^2 + 1); a pole becomes the north pole of the
@@ -187,20 +198,6 @@ class SphereBands(Features):
     def settings(self) -> dict[str, Any]:
         """Sub-bands and scales."""
         return {"parts": self.parts, "scale": list(self.scale)}
-
-
-FEATURES: tuple[type[Features], ...] = (BandIntegrals, LogBands, SphereBands)
-"""Every kind of features that a stored updater may name."""
-
-
-def make_features(kind: str, bands: Sequence[Band], **settings: Any) -> Features:
-    """Features of the kind that is named ("integrals", "log" or "sphere"); ConfigError for another name."""
-    for cls in FEATURES:
-        if cls.kind == kind:
-            if "scale" in settings:
-                settings["scale"] = tuple(settings["scale"])
-            return cls(check_bands(bands), **settings)  # type: ignore[call-arg]
-    raise ConfigError(f"features {kind!r} are not one of {', '.join(c.kind for c in FEATURES)}")
 
 
 def _split(band: Band, parts: int) -> list[tuple[float, float]]:

@@ -187,6 +187,7 @@ def fit_tuned(
     degree: int = 2,
     centres: int | None = None,
     components: int | None = None,
+    most: int = 24,
     tune: int = 400,
     seed: int = 0,
 ) -> RbfNetwork:
@@ -203,7 +204,8 @@ def fit_tuned(
     centres : int, optional
         Number of centres; all samples where absent. Fewer than samples: least squares by QR.
     components : int, optional
-        Principal components that enter; by default those above 1e-9 of the variance, at most 24.
+        Principal components that enter; by default those above 1e-9 of the variance, at most `most`.
+    most : int
     tune : int
         Samples (the first ones) on which the scales are tuned.
     seed : int
@@ -215,15 +217,16 @@ def fit_tuned(
     the bordered kernel matrix (Dubrule, 1983). Of a least squares fit: e_i / (1 - leverage_i).
     """
     x, y = require_samples(features, parameters)
-    origin, rotation = principal_components(x, components)
+    origin, rotation = principal_components(x, components, most=most)
     shift, scale = y.mean(axis=0), y.std(axis=0)
     if not (scale > 0).all():
         raise EstimationError("a parameter is the same in all training samples: widen its bounds or drop it")
     t, z = (y - shift) / scale, (x - origin) @ rotation
     n_centres = len(z) if centres is None else min(centres, len(z))
-    degree = _affordable_degree(degree, z.shape[1], min(tune, n_centres))
     few = min(tune, n_centres)
-    scales = tune_scales(z[:few], t[:few], kernel, degree)
+    first = _affordable_degree(degree, z.shape[1], few)
+    scales = tune_scales(z[:few], t[:few], kernel, first)
+    degree = first if n_centres == len(z) else _affordable_degree(degree, z.shape[1], len(z) - n_centres)
     u = z / scales.lengths
     if n_centres == len(z):
         where, (w, v, error) = u, _solve_interpolant(u, t, kernel, degree, scales.ridge)

@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from labnnum.bands import Band
 from labnnum.errors import EstimationError
 from labnnum.parameters import Parameter, truncated_samples
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
 from labnnum.updating.batch import FrfBatch
 from labnnum.updating.features import Features
+from labnnum.updating.scores import ScoreBands, references
 from labnnum.updating.seen import View
 
 Sampling = Literal["sobol", "random", "prior"]
@@ -145,9 +147,18 @@ class TrainingPlan:
         return FrfBatch.of(self.structure, frequency, self.outputs, self.inputs)
 
     def with_fitted_features(self) -> TrainingPlan:
-        """The same with the features' scales set from the first samples."""
+        """The same with the features' scales set from the first samples, or scores from the model's sensitivities."""
+        if isinstance(self.features, ScoreBands):
+            return replace(self, features=self._scores(self.features.bands))
         sample = self.frfs(self.parameters()[: min(self.samples, 64)])
         return replace(self, features=self.features.fitted(self.frequency, sample))
+
+    def _scores(self, bands: Sequence[Band]) -> ScoreBands:
+        free = self.structure.parameters
+        value, slope = self.batch().sensitivity(references(free))
+        if self.view is not None:
+            value, slope = self.view.apply(value), self.view.apply(slope)
+        return ScoreBands.at_references(bands, self.frequency, value, slope, np.array([p.spread for p in free]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,9 @@ from labnnum.parameters import Estimate
 from labnnum.recording import Channel
 from labnnum.response import frf_sensitivity
 from labnnum.structures.base import Structure
-from labnnum.updating.features import BandIntegrals, Features, make_features
+from labnnum.updating.features import BandIntegrals, Features
 from labnnum.updating.fitting import fit_printed, fit_tuned
+from labnnum.updating.kinds import make_features
 from labnnum.updating.matching import matched
 from labnnum.updating.network import RbfNetwork
 from labnnum.updating.novelty import Novelty, feature_noise
@@ -115,7 +116,8 @@ class Updater:
         samples, seed, sampling, margin
             Of the training set, see `labnnum.updating.training.draw`; a tuned network takes Sobol points, the
             printed one draws from the prior.
-        features : {"log", "integrals", "sphere"}
+        features : {"log", "integrals", "sphere", "score"}
+            "score" for training with noise.
         network : {"tuned", "printed"}
             "printed" is the dissertation's own: integrals, exp(-d), every sample a centre.
         centres : int, optional
@@ -151,7 +153,9 @@ class Updater:
         if network == "printed":
             trained = fit_printed(data.features, data.parameters, gamma=None, weights=_weights(plan))
         else:
-            trained = fit_tuned(data.features, data.parameters, centres=centres, seed=plan.seed)
+            trained = fit_tuned(
+                data.features, data.parameters, centres=centres, seed=plan.seed, most=plan.features.components
+            )
         truth = draw(plan.structure.parameters, VALIDATION, "prior", plan.seed + 1_000_003, 0.0)
         validation, novelty = _validate(plan, trained, truth)
         settings = {

@@ -52,7 +52,9 @@ def train(
         int | None, typer.Option(help="Fewer centres than samples: least squares, for many or noisy samples.")
     ] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same updater.")] = 0,
-    features: Annotated[str, typer.Option(help="What the network sees: log, integrals or sphere.")] = "log",
+    features: Annotated[
+        str, typer.Option(help="What the network sees: log, integrals, sphere, or score (with --noise).")
+    ] = "log",
     network: Annotated[str, typer.Option(help="tuned, or printed (the dissertation's own).")] = "tuned",
     noise: Annotated[float, typer.Option(help="Random error put on the training FRFs, as a share of |H|.")] = 0.0,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it.")] = 1,
