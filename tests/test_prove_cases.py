@@ -8,8 +8,21 @@ import numpy as np
 import pytest
 
 from labnnum.errors import ConfigError
-from sessions.prove.cases import KINDS, LAWS, MAKERS, conceal, fits, make_case, matrices, measure, write_case
+from sessions.prove.cases import (
+    KINDS,
+    LAWS,
+    MAKERS,
+    conceal,
+    fits,
+    make_case,
+    matrices,
+    measure,
+    sound_twin,
+    write_case,
+)
 from sessions.prove.referee import misfit, nominal
+from sessions.prove.truth.bench import first_modes
+from sessions.prove.truth.outside import OUTSIDE
 from sessions.prove.truth.respond import transfer
 from sessions.prove.truth.state import plant
 
@@ -197,3 +210,39 @@ def test_hits_start_before_the_blow_and_die_out():
 def test_what_makes_no_sense_is_refused(arguments, words):
     with pytest.raises(ConfigError, match=words):
         conceal(1, *arguments)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sound_twin_is_another_structure_behind_the_same_model(kind):
+    case = conceal(14, kind, "channel-gain", 0.9)
+    twin = sound_twin(case, 0)
+    ours, theirs = matrices(case.state.bench), matrices(twin.state.bench)
+    assert all(np.array_equal(ours[key], theirs[key]) for key in ours)
+    assert twin.state.bench.sensors == case.state.bench.sensors
+    assert twin.state.faults == ()
+    mine, other = (first_modes(c.state.mesh, 6)[-3:] for c in (case, twin))
+    assert other == pytest.approx(mine, rel=0.05)
+    assert not np.array_equal(mine, other)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sound_structure_is_as_visible_as_its_twins(kind):
+    over = []
+    for seed in (14, 15, 16):
+        case = conceal(seed, kind)
+        over.append(misfit(case) / np.median([misfit(sound_twin(case, i)) for i in range(3)]))
+    assert np.median(over) < 3
+    gross = conceal(14, kind, "added-mass", 1.0)
+    assert misfit(gross) > 10 * misfit(sound_twin(gross, 0))
+
+
+def test_crosstalk_is_a_share_of_the_other_channel_whatever_it_measures():
+    case = conceal(2, "frame", "crosstalk", 1.0)
+    sensors = tuple(replace(s, order=1 + i % 2) for i, s in enumerate(case.state.bench.sensors))
+    state = replace(case.state, bench=replace(case.state.bench, sensors=sensors), channels=(), faults=())
+    mixed = OUTSIDE["crosstalk"](np.random.default_rng(0), state, 1.0)
+    fault = mixed.channels[0]
+    names = [s.name for s in sensors]
+    one, other = (sensors[names.index(n)] for n in (fault.channel, fault.other))
+    middle = 2 * np.pi * np.sqrt(np.prod(state.bench.band))
+    assert fault.value == pytest.approx(0.8 * middle ** (one.order - other.order))

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sessions.prove.truth import channels, excite, fe
-from sessions.prove.truth.benches import first_modes
+from sessions.prove.truth.bench import first_modes
 from sessions.prove.truth.respond import Added, Plant, answer, complex_modes, steady, transfer
 from sessions.prove.truth.state import ChannelFault
 

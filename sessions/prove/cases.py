@@ -11,7 +11,8 @@ from numpy.random import Generator, default_rng
 from labnnum.errors import ConfigError
 from sessions.prove.folder import matrices as matrices
 from sessions.prove.folder import write_case as write_case
-from sessions.prove.truth.benches import BENCHES, Bench, base_beam, free_beam
+from sessions.prove.truth.bench import Bench
+from sessions.prove.truth.benches import BENCHES, base_beam, free_beam
 from sessions.prove.truth.channels import CHANNEL
 from sessions.prove.truth.nonlinear import NONLINEAR, OUTSIDE_LAWS
 from sessions.prove.truth.outside import OUTSIDE, outside_possible
@@ -125,6 +126,14 @@ def conceal(
     plan, units = draw_plan(of_runs, state, excitation), _units(of_units, state)
     native = list(bench.zones) == ["E"] and bool(of_units.random() < 0.6)
     return Case(name, seed, state, plan, (), units, native)
+
+
+def sound_twin(case: Case, number: int) -> Case:
+    """A sound structure of the same make: same model, sensors and excitation, other ordinary errors and damping."""
+    bench, viscous = case.state.bench, bool(case.state.laws)
+    rng = default_rng([case.seed, KINDS.index(bench.kind), 5, number])
+    state = sound(rng, replace(bench, truth=bench.again(rng)), case.state.shaken, viscous)
+    return replace(case, state=replace(state, swept=case.state.swept), runs=())
 
 
 def measure(case: Case) -> Case:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sessions.prove.truth import fe
-from sessions.prove.truth.benches import Bench
+from sessions.prove.truth.bench import Bench
 from sessions.prove.truth.session import analyser
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sessions.prove.cases import Case
 from sessions.prove.truth import excite, fe
-from sessions.prove.truth.benches import sensor_row
+from sessions.prove.truth.bench import sensor_row
 from sessions.prove.truth.channels import transfer_factor
 from sessions.prove.truth.respond import Plant, steady, transfer
 from sessions.prove.truth.session import clean, draw_plan

@@ -1,125 +1,16 @@
-"""Structures that a concealed case may stand on: what is really there, and the coarser model that a user has of it."""
+"""The structures that a concealed case may stand on, drawn at random: chains, beams on a shaker, free beams, frames."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from sessions.prove.truth import fe
-from sessions.prove.truth.respond import complex_modes
-
-STEEL = (210e9, 7850.0, 80e9)
-ALUMINIUM = (70e9, 2700.0, 26.5e9)
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """A transducer: where the user says it is, and how far off its mount sits (m along its element)."""
-
-    name: str
-    node: str
-    axis: int
-    sign: int = 1
-    order: int = 2
-    offset: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """A structure on its bench: truth, nominal model, sensors and excitation.
-
-    Parameters
-    ----------
-    kind : str
-        "chain", "base-beam", "free-beam" or "frame".
-    truth : Mesh
-        The fine mesh with its true properties.
-    coarse : Mesh
-        The user's mesh with the user's properties.
-    zones : mapping
-        Parameter name -> number of the zone of bars whose stiffness it scales.
-    theta : mapping
-        Parameter name -> its true value (nominal 1).
-    sensors : tuple of Sensor
-    drive : (node, axis) or None
-        Where the force acts; None when the base moves.
-    base : int or None
-        Axis along which the base moves.
-    feet : tuple of str
-        Supported nodes.
-    swing : str
-        "y" or "z": the user's name of axis 1; the rotation is then "rz" or "ry" (of the other sense).
-    n_modes : int
-        Modes in the measured band.
-    ratio : float
-        Typical damping ratio.
-    """
-
-    kind: str
-    truth: fe.Mesh
-    coarse: fe.Mesh
-    zones: dict[str, int]
-    theta: dict[str, float]
-    sensors: tuple[Sensor, ...]
-    drive: tuple[str, int] | None
-    base: int | None
-    feet: tuple[str, ...]
-    swing: str
-    n_modes: int
-    ratio: float
-
-    @property
-    def elements(self) -> tuple[tuple[str, str], ...]:
-        """Elements of the nominal mesh, as pairs of node names."""
-        return tuple(bar.home for bar in self.coarse.bars)
-
-    @cached_property
-    def band(self) -> tuple[float, float]:
-        """Excited band in Hz: from half the first elastic mode to midway past the last that is meant to be seen."""
-        modes = first_modes(self.coarse, self.n_modes + 1)
-        floating = 2 if self.kind == "free-beam" else 0
-        top = modes[-1] if len(modes) > self.n_modes else 1.35 * modes[-1]
-        return 0.5 * float(modes[floating]), float(0.45 * modes[self.n_modes - 1] + 0.55 * top)
-
-    @property
-    def modulus(self) -> float:
-        """Modulus that the user takes for the material of a beam or frame, Pa: that of steel or of aluminium."""
-        bar = self.coarse.bars[0]
-        return min((STEEL, ALUMINIUM), key=lambda m: abs(m[0] / m[1] - bar.axial / bar.mass))[0]
-
-    def total_mass(self) -> float:
-        """Mass of the whole true structure, kg."""
-        lengths = [np.hypot(*(self.truth.xy[b.ends[1]] - self.truth.xy[b.ends[0]])) for b in self.truth.bars]
-        bars = sum(b.mass * length for b, length in zip(self.truth.bars, lengths, strict=True))
-        axes = len(set(self.truth.kept) & {0, 1})
-        return float(bars + sum(m for _, m in self.truth.lumps) / axes)
-
-
-def sensor_row(mesh: fe.Mesh, sensor: Sensor) -> NDArray[np.float64]:
-    """Row over all degrees of freedom, shape (size,): what the sensor really picks up, sign included."""
-    if sensor.offset == 0.0:
-        row = np.zeros(mesh.size)
-        row[mesh.dof(sensor.node, sensor.axis)] = 1.0
-        return sensor.sign * row
-    for home in dict.fromkeys(bar.home for bar in mesh.bars):
-        if sensor.node not in home:
-            continue
-        way = home if home[0] == sensor.node else (home[1], home[0])
-        return sensor.sign * fe.point_row(mesh, way, abs(sensor.offset), sensor.axis)
-    raise ValueError(f"no element at node {sensor.node}")
-
-
-def first_modes(mesh: fe.Mesh, count: int) -> NDArray[np.float64]:
-    """Lowest natural frequencies of a mesh, Hz."""
-    M, K, D = fe.assemble(mesh)
-    a = mesh.active
-    square, _ = complex_modes(M[np.ix_(a, a)], K[np.ix_(a, a)], 0 * D[np.ix_(a, a)])
-    return np.sqrt(np.maximum(np.real(square[:count]), 0)) / (2 * np.pi)
+from sessions.prove.truth.bench import ALUMINIUM, STEEL, Bench, Sensor, first_modes
 
 
 def _realise(rng: Generator, coarse: fe.Mesh, theta: dict[str, float], zones: dict[str, int], parts: int) -> fe.Mesh:
@@ -195,14 +86,16 @@ def chain(rng: Generator, n_sensors: int | None = None) -> Bench:
     theta = _theta(rng, tuple(zones))
     springy = 0.006 * base / pitch
     whole = replace(coarse, bars=tuple(replace(b, mass=springy) for b in bars))
-    truth = _realise(rng, replace(whole, lumps=_without_bars(lumps, springy * pitch)), theta, zones, 3)
+    whole = replace(whole, lumps=_without_bars(lumps, springy * pitch))
+    again = partial(_realise, coarse=whole, theta=theta, zones=zones, parts=3)
+    truth = again(rng)
     spots = [(str(i), 0) for i in range(1, n + 1)]
     drive = spots[int(rng.integers(n))]
     count = min(n_sensors or int(rng.integers(2, n + 1)), n)
     picked = _pick(rng, spots, count, drive if rng.random() < 0.7 else None)
     sensors = _sensors(rng, picked, 0.0)
     ratio = _ratio(rng)
-    return Bench("chain", truth, coarse, zones, theta, sensors, drive, None, feet, "y", n, ratio)
+    return Bench("chain", truth, coarse, zones, theta, sensors, drive, None, feet, "y", n, ratio, again)
 
 
 def _without_bars(lumps: tuple[tuple[int, float], ...], bar_mass: float) -> tuple[tuple[int, float], ...]:
@@ -219,12 +112,13 @@ def base_beam(rng: Generator, n_sensors: int | None = None, thick: float | None 
     coarse = replace(coarse, held=frozenset((1, 2)))
     theta = _theta(rng, tuple(zones))
     coarse, spots = _beam_sensors(rng, coarse, names[1:], n_sensors)
-    truth = _realise(rng, coarse, theta, zones, 4 if thick is None else 7)
+    again = partial(_realise, coarse=coarse, theta=theta, zones=zones, parts=4 if thick is None else 7)
+    truth = again(rng)
     sensors = _sensors(rng, spots, 0.001 * float(coarse.xy[-1, 0]))
     swing = "z" if rng.random() < 0.5 else "y"
-    return Bench(
-        "base-beam", truth, coarse, zones, theta, sensors, None, 1, ("1",), swing, int(rng.integers(3, 5)), _ratio(rng)
-    )
+    n_modes = int(rng.integers(3, 5))
+    ratio = _ratio(rng)
+    return Bench("base-beam", truth, coarse, zones, theta, sensors, None, 1, ("1",), swing, n_modes, ratio, again)
 
 
 def free_beam(rng: Generator, n_sensors: int | None = None, thick: float | None = None) -> Bench:
@@ -233,12 +127,19 @@ def free_beam(rng: Generator, n_sensors: int | None = None, thick: float | None 
     theta = _theta(rng, tuple(zones))
     coarse, spots = _beam_sensors(rng, coarse, names, n_sensors)
     end = (names[0], 1) if rng.random() < 0.5 else spots[int(rng.integers(len(spots)))]
-    real = _realise(rng, coarse, theta, zones, 4 if thick is None else 7)
-    truth = replace(real, springs=_cords(rng, real, names, first_modes(real, 3)[2]))
+    again = partial(_hung, coarse=coarse, theta=theta, zones=zones, parts=4 if thick is None else 7)
+    truth = again(rng)
     sensors = _sensors(rng, spots, 0.001 * float(coarse.xy[-1, 0]))
     swing = "z" if rng.random() < 0.5 else "y"
     n_modes = 2 + int(rng.integers(3, 5))
-    return Bench("free-beam", truth, coarse, zones, theta, sensors, end, None, (), swing, n_modes, _ratio(rng))
+    ratio = _ratio(rng)
+    return Bench("free-beam", truth, coarse, zones, theta, sensors, end, None, (), swing, n_modes, ratio, again)
+
+
+def _hung(rng: Generator, coarse: fe.Mesh, theta: dict[str, float], zones: dict[str, int], parts: int) -> fe.Mesh:
+    """A beam as it really is, on its cords."""
+    real = _realise(rng, coarse, theta, zones, parts)
+    return replace(real, springs=_cords(rng, real, list(coarse.named), first_modes(real, 3)[2]))
 
 
 def _cords(rng: Generator, mesh: fe.Mesh, names: list[str], elastic: float) -> tuple:
@@ -303,7 +204,8 @@ def frame(rng: Generator, n_sensors: int | None = None) -> Bench:
     coarse = replace(coarse, held=held, lumps=lumps)
     zones = {"E_columns": 0, "E_beams": 1}
     theta = _theta(rng, tuple(zones))
-    truth = _realise(rng, coarse, theta, zones, 3)
+    again = partial(_realise, coarse=coarse, theta=theta, zones=zones, parts=3)
+    truth = again(rng)
     spots = _frame_spots(coarse, len(points))
     drive = spots[int(rng.integers(len(spots)))]
     count = min(n_sensors or int(rng.integers(3, 9)), len(spots))
@@ -311,7 +213,8 @@ def frame(rng: Generator, n_sensors: int | None = None) -> Bench:
     sensors = _sensors(rng, picked, 0.001 * height)
     swing = "z" if rng.random() < 0.5 else "y"
     n_modes = int(rng.integers(4, 7))
-    return Bench("frame", truth, coarse, zones, theta, sensors, drive, None, ("1", "2"), swing, n_modes, _ratio(rng))
+    ratio = _ratio(rng)
+    return Bench("frame", truth, coarse, zones, theta, sensors, drive, None, ("1", "2"), swing, n_modes, ratio, again)
 
 
 def _portal(storeys: int, span: float, height: float) -> tuple[list[tuple[float, float]], list[tuple[int, int, int]]]:

@@ -33,7 +33,7 @@ def fractional(rng: Generator, state: State, severity: float) -> State:
     node, axis = any_node(rng, state)
     unit, omega, _ = yardstick(state)
     order = rng.uniform(0.4, 0.6)
-    share = scale(0.1, 3.0, severity)
+    share = scale(0.02, 3.0, severity)
     size = share * unit * omega**2 / omega**order
     law: Law = lambda s: (size * s**order)[:, None, None]  # noqa: E731
     fault = Fault("fractional-damping", False, ground(node), severity, share, "|force| over m1 w1^2 at the first mode")
@@ -49,7 +49,7 @@ def inerter(rng: Generator, state: State, severity: float) -> State:
     home = any_element(rng, state, free=True)
     unit, _, top = yardstick(state)
     row, stiffness = strain_row(state, home)
-    share = scale(0.05, 3.0, severity)
+    share = scale(0.002, 3.0, severity)
     b = share * (unit if state.bench.kind == "chain" else stiffness / top**2 * 20)
     fault = Fault("inerter", False, joint(home), severity, share, "relative size", {"b": quantity(b, "SI")})
     return found(state, fault, **attach(state, row, constant(b, 2)))
@@ -61,7 +61,7 @@ def gyroscopic(rng: Generator, state: State, severity: float) -> State:
     unit, omega, _ = yardstick(state)
     axis = {"chain": 0, "frame": 2}.get(state.bench.kind, 1)
     rows = np.vstack([node_row(state, n, axis) for n in home])
-    share = scale(0.1, 3.0, severity)
+    share = scale(0.02, 3.0, severity)
     g = share * unit * omega
     if axis == 2:
         g *= 0.02 * float(np.max(state.mesh.xy)) ** 2
@@ -78,7 +78,7 @@ def lever(rng: Generator, state: State, severity: float) -> State:
     unit, omega, _ = yardstick(state)
     axis = {"chain": 0, "frame": 2}.get(state.bench.kind, 1)
     row = node_row(state, home[0], axis) + node_row(state, home[1], axis)
-    share = scale(0.05, 2.0, severity)
+    share = scale(0.005, 2.0, severity)
     k = share * unit * omega**2
     if axis == 2:
         k *= 0.02 * float(np.max(state.mesh.xy)) ** 2
@@ -114,11 +114,14 @@ def sensor_resonance(rng: Generator, state: State, severity: float) -> State:
 
 def crosstalk(rng: Generator, state: State, severity: float) -> State:
     """One channel picks up part of another."""
-    names = [s.name for s in state.bench.sensors]
-    one, other = (names[i] for i in rng.permutation(len(names))[:2])
-    share = scale(0.02, 0.8, severity)
-    fault = Fault("crosstalk", False, channel_place(one), severity, share, "part of the other channel", sense=other)
-    return _spoilt(state, fault, ChannelFault("crosstalk", one, share, other))
+    sensors = state.bench.sensors
+    one, other = (sensors[i] for i in rng.permutation(len(sensors))[:2])
+    share = scale(0.01, 0.8, severity)
+    low, high = band(state)
+    volts = share * float(2 * np.pi * np.sqrt(low * high)) ** (one.order - other.order)
+    fault = Fault("crosstalk", False, channel_place(one.name), severity, share, "part of the other channel")
+    fault = replace(fault, sense=other.name)
+    return _spoilt(state, fault, ChannelFault("crosstalk", one.name, volts, other.name))
 
 
 def misplaced(rng: Generator, state: State, severity: float) -> State:

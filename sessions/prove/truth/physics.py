@@ -141,7 +141,7 @@ def support_compliance(rng: Generator, state: State, severity: float) -> State:
     foot = bench.feet[int(rng.integers(len(bench.feet)))]
     bar = next(b for b in bench.coarse.bars if foot in b.home)
     length = _member_length(state)
-    share = scale(0.003, 0.6, severity)
+    share = scale(0.0004, 0.6, severity)
     turn, push = bar.bending / (share * length), 30 * bar.bending / (share * length**3)
     free = {mesh.dof(foot, 1 if bench.kind == "base-beam" else 0): push, mesh.dof(foot, 2): turn}
     springs = tuple((d, -1, k, 0.02) for d, k in free.items())
@@ -313,7 +313,7 @@ def axial_preload(rng: Generator, state: State, severity: float) -> State:
     bar, length = state.mesh.bars[0], float(np.max(state.mesh.xy[:, 0]))
     buckling = np.pi**2 * bar.bending / (4 * length**2)
     pull = rng.random() < 0.5
-    share = scale(0.01, 3.0, severity) if pull else -scale(0.01, 0.6, severity)
+    share = scale(0.004, 3.0, severity) if pull else -scale(0.004, 0.6, severity)
     tension = share * buckling
     fault = Fault("axial-preload", True, WHOLE, severity, abs(share), "force over the buckling load")
     fault = replace(fault, sense="tension" if pull else "compression", parameters={"T": quantity(tension, "N")})

@@ -10,7 +10,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from sessions.prove.truth import fe
-from sessions.prove.truth.benches import Bench, sensor_row
+from sessions.prove.truth.bench import Bench, sensor_row
 from sessions.prove.truth.respond import Added, Extra, Plant, complex_modes
 
 MOST_MODES = 400
