@@ -13,7 +13,6 @@ All are smooth functions of the FRF, batch over leading axes, and know nothing o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar, final

@@ -53,7 +53,7 @@ def train(
     ] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same updater.")] = 0,
     features: Annotated[
-        str, typer.Option(help="What the network sees: log, integrals, sphere, or score (with --noise).")
+        str, typer.Option(help="Input of the network: log, integrals, sphere; score for --noise.")
     ] = "log",
     network: Annotated[str, typer.Option(help="tuned, or printed (the dissertation's own).")] = "tuned",
     noise: Annotated[float, typer.Option(help="Random error put on the training FRFs, as a share of |H|.")] = 0.0,

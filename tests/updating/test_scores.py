@@ -60,7 +60,7 @@ def test_trained_with_noise_the_network_alone_comes_near_the_bound():
     theta = truths(STRUCTURE, 300, seed=3)
     noisy = Disturbance(0.03).on(batch.frf(theta), 9, 0)
     error = updater.predict(updater.features(updater.frequency, noisy)) - theta
-    inside = np.any([(LINES >= b.low) & (LINES <= b.high) for b in BANDS], axis=0)
+    inside = np.any([(b.low <= LINES) & (b.high >= LINES) for b in BANDS], axis=0)
     bound = bound_deviations(FrfBatch.of(STRUCTURE, LINES[inside], OUTPUTS, example.inputs), theta, 0.03)
     ratio = np.abs(error).mean(axis=0) / (np.sqrt(2 / np.pi) * bound.mean(axis=0))
     assert (ratio > 0.9).all()
