@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.nonlinear.run import Run, run_of
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.frf import Frf
 from labnnum.recording import Recording
@@ -40,6 +41,8 @@ class Observation:
     clipped: dict[str, Clip] = field(default_factory=dict)
     peaks: dict[str, float] = field(default_factory=dict)
     """Channel -> largest magnitude, in its SI unit."""
+    run: Run | None = None
+    """Spectra of a periodic run, for the nonlinear diagnosis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +148,11 @@ def _periodic(recording: Recording) -> Observation:
         _distortion(mean, noise_u, inputs, outputs, on, h, spectra),
         drift,
         slope_frf,
-    )
+        run=run_of(
+            spectra, on, inputs, outputs, recording.rate, n, float(np.sqrt(np.sum(np.abs(u) ** 2) / 2)),
+            recording.label, recording.channels,
+        ),
+    )  # fmt: skip
 
 
 def _drift(spectra: NDArray, inputs: list[int], outputs: list[int], on: NDArray, h: NDArray) -> tuple[float, NDArray]:

@@ -1,0 +1,302 @@
+"""Where a nonlinear force acts and how: forces recovered through the base model, and laws regressed on the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape, candidates, force_along, general_basis
+from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint
+from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.mechanisms.base import Place
+
+FINE = 2
+"""Samples of the recovered motion to a measured one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spot:
+    """A motion where a nonlinear force may act: its place, direction and column (n,)."""
+
+    place: Place
+    axis: str
+    column: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Recovered:
+    """Force on the structure at a spot and the motion there, run by run, recovered from the measured responses.
+
+    `share` of the distortion on lines that were not excited that one force there explains; `chance` of it that any
+    force would, one complex number of as many as there are sensors.
+    """
+
+    spot: Spot
+    share: float
+    force: tuple[NDArray[np.complex128], ...]
+    z: tuple[NDArray[np.float64], ...]
+    v: tuple[NDArray[np.float64], ...]
+    f: tuple[NDArray[np.float64], ...]
+    receptance: dict[tuple[int, float], Receptance]
+
+    @property
+    def top(self) -> float:
+        """Largest motion."""
+        return float(max(np.max(np.abs(z)) for z in self.z))
+
+
+@dataclass(frozen=True, eq=False)
+class Lead:
+    """A law at a spot with the parameters that fit the recovered motion, and what it removes of chi-square."""
+
+    spot: Spot
+    mechanism: str
+    p: NDArray[np.float64]
+    gain: float
+
+    def acting(self) -> Acting:
+        """As the fit takes it."""
+        sign = -1.0 if self.spot.axis.startswith("-") else 1.0
+        return Acting(self.mechanism, sign * self.spot.column, self.p)
+
+
+class Background:
+    """The base model at `x` with what it and its ordinary errors may still explain of the residual."""
+
+    def __init__(self, joint: Joint, x: NDArray) -> None:
+        none = [None] * len(joint.runs)
+        self.joint, self.x = joint, x
+        jac, _ = joint.slopes(x, none)
+        r, b = joint.parts(x, none)
+        self.n_out, self.n = r.shape
+        self.r = r
+        self.b = b
+        std = joint.std[: joint.n_base]
+        self.j = jac * std[None, :, None]
+        self.pull = (joint.mean[: joint.n_base] - x[: joint.n_base]) / std
+        nb, nn = self.j.shape[1], b.shape[1]
+        size = nb + self.n_out * nn
+        gram = np.eye(size)
+        gram[:nb, :nb] += np.einsum("oif,ojf->ij", self.j, self.j, optimize=True)
+        for o in range(self.n_out):
+            at = slice(nb + o * nn, nb + (o + 1) * nn)
+            gram[at, at] += b[o] @ b[o].T
+            cross = self.j[o] @ b[o].T
+            gram[:nb, at] += cross
+            gram[at, :nb] += cross.T
+        self.inverse = np.linalg.inv(gram)
+        self.right = self._inner(r)
+        self.right[:nb] += self.pull
+        self.solved = self.inverse @ self.right
+        self.objective = float(np.sum(r * r) + self.pull @ self.pull - self.right @ self.solved)
+
+    def _inner(self, c: NDArray) -> NDArray:
+        own = np.einsum("onf,of->on", self.b, c)
+        return np.concatenate([np.einsum("onf,of->n", self.j, c), own.reshape(-1)])
+
+    def gain(self, columns: NDArray) -> tuple[NDArray, NDArray]:
+        """Best amplitudes of whitened columns (n_c, n_out, N) together, and what they remove of the objective."""
+        inner = np.array([self._inner(c) for c in columns])
+        flat = columns.reshape(columns.shape[0], -1)
+        gram = flat @ flat.T - inner @ self.inverse @ inner.T
+        along = flat @ self.r.reshape(-1) - inner @ self.solved
+        d = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        size = np.linalg.pinv(gram / np.outer(d, d), rcond=1e-10) @ (along / d) / d
+        return size, float(size @ along)
+
+    def beside(self, held: NDArray) -> Beside:
+        """Scores of single columns beside `held` (n_held, n_out, N), which may have any size."""
+        return Beside(self, held)
+
+
+class Beside:
+    """Scores of single columns beside held ones: what each removes of the objective that those leave."""
+
+    def __init__(self, background: Background, held: NDArray) -> None:
+        self.g = background
+        self.inner = np.array([background._inner(c) for c in held])
+        self.flat = held.reshape(held.shape[0], -1)
+        gram = self.flat @ self.flat.T - self.inner @ background.inverse @ self.inner.T
+        d = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        self.solve = np.linalg.pinv(gram / np.outer(d, d), rcond=1e-10) / np.outer(d, d)
+        self.along = self.flat @ background.r.reshape(-1) - self.inner @ background.solved
+        self.gain = float(self.along @ self.solve @ self.along)
+
+    def single(self, column: NDArray) -> tuple[float, float]:
+        """Best amplitude of a column (n_out, N) and what it removes, that of the held ones included."""
+        g = self.g
+        inner = g._inner(column)
+        cross = self.flat @ column.reshape(-1) - self.inner @ (g.inverse @ inner)
+        whole = float(np.sum(column * column))
+        size = whole - float(inner @ g.inverse @ inner) - float(cross @ self.solve @ cross)
+        along = float(np.sum(column * g.r) - inner @ g.solved) - float(cross @ self.solve @ self.along)
+        if size <= 1e-9 * whole:
+            return 0.0, self.gain
+        return along / size, self.gain + along**2 / size
+
+
+def recover(joint: Joint, x: NDArray, point: Point, spot: Spot) -> Recovered:
+    r"""Force at `spot` that best explains what the base model at `x` leaves of each run.
+
+    .. math:: \hat F = \frac{h^H \Sigma^{-1} r}{h^H \Sigma^{-1} h + 1/S}, \quad z = z_0 U + G \hat F
+
+    with S the force's own power around the line.
+    """
+    engine = joint.engine
+    made: dict[tuple[int, float], Receptance] = {}
+    for key in joint.bases:
+        omega = 2 * np.pi * np.arange(key[0] // 2 + 1) * key[1] / key[0]
+        base = Base(engine, point, spot.column[:, None], omega)
+        full = base.start()
+        full[: joint.n_base] = x[: joint.n_base]
+        made[key] = base.at(full)
+    forces, zs, vs, fs = [], [], [], []
+    explained = total = 0.0
+    for run in joint.runs:
+        r = made[(run.period, run.rate)]
+        force, share = _one(run, r)
+        explained += share[0]
+        total += share[1]
+        drive = r.gain * run.u
+        z = np.where(run.inside, r.z[0] * drive + r.g[0, 0] * force, 0.0)
+        full = np.zeros((3, run.period * FINE // 2 + 1), complex)
+        full[:, : z.size] = z, r.s * z, force
+        time = np.fft.irfft(full * (run.period * FINE / 2), axis=1)
+        forces.append(force)
+        zs.append(time[0])
+        vs.append(time[1])
+        fs.append(time[2])
+    return Recovered(
+        spot, explained / total if total > 0 else 0.0, tuple(forces), tuple(zs), tuple(vs), tuple(fs), made
+    )
+
+
+def _one(run: Run, r: Receptance) -> tuple[NDArray[np.complex128], tuple[float, float]]:
+    inside, quiet = run.inside, run.quiet
+    left = run.y - r.lift * r.plain * (r.gain * run.u)
+    h = r.lift * r.h[:, 0]
+    size = np.abs(run.y)
+    noise = run.noise
+    if not np.isfinite(noise).all():
+        noise = np.full(size.shape, (1e-3 * np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))) ** 2)
+    local = uniform_filter1d(np.where(quiet, np.abs(left) ** 2, 0.0), 15, axis=1)
+    local /= np.maximum(uniform_filter1d(quiet.astype(float), 15), 1e-9)
+    variance = noise + (0.03**2) * local + np.where(run.excited, (0.01 * size) ** 2, 0.0)
+    weight = 1.0 / np.maximum(variance, 1e-300)
+    top = np.sum(np.conj(h) * weight * left, axis=0)
+    power = np.sum(np.abs(h) ** 2 * weight, axis=0)
+    raw = np.where(inside, top / np.maximum(power, 1e-300), 0.0)
+    spread = uniform_filter1d(np.where(inside, np.abs(raw) ** 2 * power, 0.0), 41) / np.maximum(
+        uniform_filter1d(np.where(inside, power, 0.0), 41), 1e-300
+    )
+    count = uniform_filter1d(inside.astype(float), 41) * 41
+    prior = np.maximum(spread - count / np.maximum(uniform_filter1d(np.where(inside, power, 0), 41) * 41, 1e-300), 0)
+    prior = np.maximum(prior, 1e-3 * spread) + 1e-300
+    force = np.where(inside, top / (power + 1.0 / prior), 0.0)
+    w = weight[:, quiet]
+    all_ = float(np.sum(w * np.abs(left[:, quiet]) ** 2))
+    kept = float(np.sum(np.abs(top[quiet]) ** 2 / np.maximum(power[quiet], 1e-300)))
+    return force, (kept, all_)
+
+
+def law_column(joint: Joint, found: Recovered, mechanism: str, p: NDArray, sign: float) -> NDArray[np.float64]:
+    """Whitened response (n_out, N) to a law of parameters `p` along the recovered motion."""
+    shape = SHAPES[mechanism]
+    spectra = [_spectrum(shape, sign * z, sign * v, p) * sign for z, v in zip(found.z, found.v, strict=True)]
+    return _through(joint, found, spectra)
+
+
+def _spectrum(shape: LawShape, z: NDArray, v: NDArray, p: NDArray) -> NDArray[np.complex128]:
+    return np.fft.rfft(force_along(shape, z, v, p)) * (2 / z.size)
+
+
+def _through(joint: Joint, found: Recovered, spectra: Sequence[NDArray]) -> NDArray[np.float64]:
+    out = []
+    for run, lines, phi in zip(joint.runs, joint.lines, spectra, strict=True):
+        r = found.receptance[(run.period, run.rate)]
+        at = lines.at
+        out.append(joint._real(-r.lift[:, at] * r.h[:, 0, at] * phi[at] / lines.sigma))
+    return np.concatenate(out, axis=-1)
+
+
+def general_lead(background: Background, found: Recovered) -> Lead:
+    """The general law along the recovered motion, all its coefficients together."""
+    z_top, v_top = found.top, float(max(np.max(np.abs(v)) for v in found.v))
+    scale = np.abs(general_basis(np.array([z_top]), np.array([v_top])))[:, 0]
+    columns = []
+    for i in range(N_P):
+        spectra = []
+        for z, v in zip(found.z, found.v, strict=True):
+            spectra.append(np.fft.rfft(general_basis(z, v)[i] / scale[i]) * (2 / z.size))
+        columns.append(_through(background.joint, found, spectra))
+    size, gain = background.gain(np.array(columns))
+    return Lead(found.spot, "general", size / scale, gain)
+
+
+def companions(background: Background, found: Recovered) -> Beside:
+    """Spring and dashpot at the spot, which the base model may have wrong."""
+    columns = [
+        _through(background.joint, found, [np.fft.rfft(x) * (2 / x.size) for x in rows]) for rows in (found.z, found.v)
+    ]
+    return background.beside(np.array(columns))
+
+
+def law_leads(background: Background, found: Recovered, mechanisms: Sequence[str]) -> list[Lead]:
+    """The best of each law along the recovered motion, a spring and a dashpot beside it."""
+    beside = companions(background, found)
+    out = []
+    for mechanism in mechanisms:
+        shape = SHAPES[mechanism]
+        best: Lead | None = None
+        for side in (1.0, -1.0) if mechanism == "one-sided-gap" else (1.0,):
+            for unit in candidates(shape, found.top):
+                size, gain = beside.single(law_column(background.joint, found, mechanism, unit, side))
+                if shape.positive and size <= 0:
+                    continue
+                value = unit.copy()
+                value[0] = size
+                if shape.law == "stick-slip":
+                    value[1] = size * unit[1]
+                spot = found.spot
+                if side < 0:
+                    spot = Spot(spot.place, "-" + spot.axis, spot.column)
+                if best is None or gain > best.gain:
+                    best = Lead(spot, mechanism, value, gain)
+        if best is not None:
+            out.append(best)
+    slip = next((lead for lead in out if lead.mechanism == "stick-slip"), None)
+    if slip is not None:
+        p = np.zeros(N_P)
+        p[:4] = slip.p[0], slip.p[1] / slip.p[0], 1.5, 0.5
+        out.append(Lead(slip.spot, "hysteresis", p, slip.gain))
+    return out
+
+
+def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
+    """Every translation of every free node against the ground, and of one node against its neighbour."""
+    from labnnum.mechanisms.base import TRANSLATIONS
+    from labnnum.mechanisms.local_dashpot import relative
+
+    out = []
+    for node in site.free_nodes:
+        for axis in TRANSLATIONS:
+            column = site.rows(node, (axis,))
+            if column.size and np.abs(column.T @ site.shape).max() > 0:
+                out.append(Spot(Place("ground", node), axis, column[:, 0]))
+    for a, b in site.elements:
+        if a in site.supports and not site.rows(a, TRANSLATIONS).size:
+            continue
+        if b in site.supports and not site.rows(b, TRANSLATIONS).size:
+            continue
+        for axis in TRANSLATIONS:
+            column = relative(site, a, b, axis)
+            if column is not None and np.abs(column[:, 0] @ site.shape).max() > 0:
+                out.append(Spot(Place("joint", a, b), axis, column[:, 0]))
+    return out

@@ -1,0 +1,366 @@
+"""Forces of a few nonlinear laws on a linear structure, marched in time together with their exact derivatives.
+
+Only the motion that the forces themselves cause is marched, mode by mode with its exact transition; what the
+excitation causes comes in as a source. Each force is straight between steps and solved for at the end of each. Beside
+the motion any number of tangents is carried: derivatives of the force to initial states, to the laws' parameters and
+to anything that moves the source.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+LAWS: dict[str, tuple[str, ...]] = {
+    "cubic": ("k3",),
+    "quadratic": ("k2",),
+    "one-sided-gap": ("k", "g"),
+    "clearance": ("k", "g"),
+    "coulomb": ("F",),
+    "quadratic-damping": ("c2",),
+    "stick-slip": ("k_t", "F_s"),
+    "hysteresis": ("k", "limit", "n", "beta_share"),
+    "general": tuple(f"c{i}" for i in range(10)),
+}
+"""Laws and their parameters; z is the motion, v its rate, the force opposes:
+
+- cubic k3 z^3; quadratic k2 z^2; one-sided-gap k max(z - g, 0); clearance k beyond +-g; coulomb F sign(v);
+  quadratic-damping c2 v |v|; stick-slip: a spring k_t in series with a slider that yields at F_s
+- hysteresis: k h, dh/dz = 1 - (b sign(v h) + 1 - b) |h / limit|^n
+- general: a smooth law without memory; see `labnnum.diagnosis.nonlinear.laws.general_basis`
+"""
+
+CODES = {name: code for code, name in enumerate(LAWS)}
+N_P = 10
+"""Room for the parameters of any law."""
+
+
+@njit(cache=True)
+def _hysteretic(z, p, memory, d):  # pragma: no cover - compiled
+    """h at z from (z0, h0) by the midpoint rule, and in d: dh/dz, dh/dh0, dh/dlimit, dh/dn, dh/dshare."""
+    z0, h0 = memory[0], memory[1]
+    step = z - z0
+    limit, n, share = p[1], p[2], p[3]
+    h = h0 + step
+    if limit <= 0.0:
+        d[:] = 0.0
+        return 0.0
+    for _ in range(40):
+        middle = 0.5 * (h + h0)
+        s = 1.0 if step * middle > 0 else -1.0
+        a = share * s + 1.0 - share
+        size = abs(middle) / limit
+        rate = 1.0 - a * size**n
+        slope = -a * n * size ** (n - 1.0) / limit * (1.0 if middle > 0 else -1.0) if size > 0 else 0.0
+        f = h - h0 - step * rate
+        df = 1.0 - 0.5 * step * slope
+        if df < 0.2:
+            df = 0.2
+        change = f / df
+        h -= change
+        if abs(change) <= 1e-13 * (abs(h) + abs(h0)):
+            break
+    middle = 0.5 * (h + h0)
+    s = 1.0 if step * middle > 0 else -1.0
+    a = share * s + 1.0 - share
+    size = abs(middle) / limit
+    power = size**n
+    rate = 1.0 - a * power
+    slope = -a * n * size ** (n - 1.0) / limit * (1.0 if middle > 0 else -1.0) if size > 0 else 0.0
+    down = 1.0 / max(1.0 - 0.5 * step * slope, 0.2)
+    d[0] = rate * down
+    d[1] = (1.0 + 0.5 * step * slope) * down
+    d[2] = step * a * n * power / limit * down
+    d[3] = -step * a * power * np.log(size) * down if size > 1e-12 else 0.0
+    d[4] = -step * (s - 1.0) * power * down
+    return h
+
+
+@njit(cache=True)
+def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
+    """Opposing force, its slopes to z and v; `lp` gets those to the parameters, `d` those that memory needs."""
+    lp[:] = 0.0
+    if code == 0:
+        lp[0] = z**3
+        return p[0] * z**3, 3 * p[0] * z**2, 0.0
+    if code == 1:
+        lp[0] = z**2
+        return p[0] * z**2, 2 * p[0] * z, 0.0
+    if code == 2:
+        if z > p[1]:
+            lp[0] = z - p[1]
+            lp[1] = -p[0]
+            return p[0] * (z - p[1]), p[0], 0.0
+        return 0.0, 0.0, 0.0
+    if code == 3:
+        if abs(z) > p[1]:
+            s = 1.0 if z > 0 else -1.0
+            lp[0] = z - s * p[1]
+            lp[1] = -s * p[0]
+            return p[0] * (z - s * p[1]), p[0], 0.0
+        return 0.0, 0.0, 0.0
+    if code == 5:
+        lp[0] = v * abs(v)
+        return p[0] * v * abs(v), 0.0, 2 * p[0] * abs(v)
+    if code == 6:
+        trial = p[0] * (z - memory[0])
+        if abs(trial) > p[1]:
+            s = 1.0 if trial > 0 else -1.0
+            lp[1] = s
+            return s * p[1], 0.0, 0.0
+        lp[0] = z - memory[0]
+        return trial, p[0], 0.0
+    if code == 7:
+        h = _hysteretic(z, p, memory, d)
+        lp[0] = h
+        lp[1] = p[0] * d[2]
+        lp[2] = p[0] * d[3]
+        lp[3] = p[0] * d[4]
+        return p[0] * h, p[0] * d[0], 0.0
+    az, av = abs(z), abs(v)
+    lp[0] = z * az
+    lp[1] = z * z
+    lp[2] = z**3
+    lp[3] = z**5
+    lp[4] = v * av
+    lp[5] = v**3
+    lp[6] = z * z * v
+    lp[7] = az * v
+    lp[8] = z * v
+    lp[9] = v * v * z
+    f = 0.0
+    for i in range(10):
+        f += p[i] * lp[i]
+    fz = (
+        p[0] * 2 * az + p[1] * 2 * z + p[2] * 3 * z * z + p[3] * 5 * z**4
+        + p[6] * 2 * z * v + p[7] * (v if z > 0 else -v) + p[8] * v + p[9] * v * v
+    )  # fmt: skip
+    fv = p[4] * 2 * av + p[5] * 3 * v * v + p[6] * z * z + p[7] * az + p[8] * z + p[9] * 2 * v * z
+    return f, fz, fv
+
+
+@njit(cache=True)
+def solve_force(code, z, v, gz, gv, p, memory, guess, lp, d):  # pragma: no cover - compiled
+    """Force f on the structure with f = -law(z + gz f, v + gv f)."""
+    if code == 4:
+        hold = -v / gv if gv > 0.0 else 0.0
+        return min(max(hold, -p[0]), p[0])
+    f = guess
+    for i in range(60):
+        value, dz, dv = law(code, z + gz * f, v + gv * f, p, memory, lp, d)
+        slope = 1 + dz * gz + dv * gv
+        if slope < 0.05:
+            slope = 0.05
+        change = -(f + value) / slope
+        if i > 20:
+            change *= 0.5
+        f += change
+        if abs(change) <= 1e-12 * abs(f):
+            break
+    return f
+
+
+@njit(cache=True)
+def march(
+    T, W0, W1, w, gz, gv, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds, dforces
+):  # pragma: no cover - compiled
+    """Advance over all steps of `source` (n, k, 2); forces (n, k) and motion (n, k, 2) at the ends of the steps.
+
+    T (4, m), W0 and W1 (2, m) transition and weights of each mode; w (k, m) motions; gz, gv (k, k) what a force
+    does within its own step; x (2, m), f (k,), memory (k, 2) state, changed in place. Tangents: X (2, m, t), df
+    (k, t), dmem (k, 2, t) their states; dp (k, P, t) which parameter each varies; ds (n, k, 2, s) their sources, those
+    of the first s tangents; dforces (n, k, t). Returns the number of steps whose forces did not settle.
+    """
+    n, k = forces.shape
+    m = W0.shape[1]
+    nt, ns = X.shape[2], ds.shape[3]
+    lp = np.empty((k, 10))
+    d = np.empty((k, 5))
+    new = np.empty(k)
+    see = np.empty((k, 2))
+    fz = np.empty(k)
+    fv = np.empty(k)
+    dsee = np.empty((k, 2, nt))
+    rhs = np.empty((k, nt))
+    a = np.empty((k, k))
+    bad = 0
+    for step in range(n):
+        for e in range(k):
+            see[e, 0] = source[step, e, 0]
+            see[e, 1] = source[step, e, 1]
+        for r in range(m):
+            push = 0.0
+            for e in range(k):
+                push += w[e, r] * f[e]
+            q = T[0, r] * x[0, r] + T[1, r] * x[1, r] + W0[0, r] * push
+            u = T[2, r] * x[0, r] + T[3, r] * x[1, r] + W0[1, r] * push
+            x[0, r] = q
+            x[1, r] = u
+            for e in range(k):
+                see[e, 0] += w[e, r] * q
+                see[e, 1] += w[e, r] * u
+        new[:] = f
+        settled = k == 1
+        for _ in range(80):
+            change = 0.0
+            size = 0.0
+            for e in range(k):
+                z, v = see[e, 0], see[e, 1]
+                for o in range(k):
+                    if o != e:
+                        z += gz[e, o] * new[o]
+                        v += gv[e, o] * new[o]
+                one = solve_force(codes[e], z, v, gz[e, e], gv[e, e], p[e], memory[e], new[e], lp[e], d[e])
+                change = max(change, abs(one - new[e]))
+                size = max(size, abs(one))
+                new[e] = one
+            if k == 1 or change <= 1e-10 * size:
+                settled = True
+                break
+        if not settled:
+            bad += 1
+        for e in range(k):
+            z, v = see[e, 0], see[e, 1]
+            for o in range(k):
+                z += gz[e, o] * new[o]
+                v += gv[e, o] * new[o]
+            motion[step, e, 0] = z
+            motion[step, e, 1] = v
+            forces[step, e] = new[e]
+        for r in range(m):
+            push = 0.0
+            for e in range(k):
+                push += w[e, r] * new[e]
+            x[0, r] += W1[0, r] * push
+            x[1, r] += W1[1, r] * push
+        if nt > 0:
+            for e in range(k):
+                for c in range(2):
+                    for t in range(ns):
+                        dsee[e, c, t] = ds[step, e, c, t]
+                    for t in range(ns, nt):
+                        dsee[e, c, t] = 0.0
+            for r in range(m):
+                t0, t1, t2, t3 = T[0, r], T[1, r], T[2, r], T[3, r]
+                for t in range(nt):
+                    push = 0.0
+                    for e in range(k):
+                        push += w[e, r] * df[e, t]
+                    q = t0 * X[0, r, t] + t1 * X[1, r, t] + W0[0, r] * push
+                    u = t2 * X[0, r, t] + t3 * X[1, r, t] + W0[1, r] * push
+                    X[0, r, t] = q
+                    X[1, r, t] = u
+                for e in range(k):
+                    we = w[e, r]
+                    for t in range(nt):
+                        dsee[e, 0, t] += we * X[0, r, t]
+                        dsee[e, 1, t] += we * X[1, r, t]
+            for e in range(k):
+                code = codes[e]
+                if code == 4:
+                    if abs(new[e]) < p[e, 0]:
+                        fz[e], fv[e] = 0.0, 1e30
+                        for t in range(nt):
+                            rhs[e, t] = 0.0
+                    else:
+                        fz[e], fv[e] = 0.0, 0.0
+                        s = -1.0 if new[e] > 0 else 1.0
+                        for t in range(nt):
+                            rhs[e, t] = -s * dp[e, 0, t]
+                    continue
+                _, fz[e], fv[e] = law(code, motion[step, e, 0], motion[step, e, 1], p[e], memory[e], lp[e], d[e])
+                for t in range(nt):
+                    total = 0.0
+                    for i in range(4 if code != 8 else 10):
+                        total += lp[e, i] * dp[e, i, t]
+                    if code == 6 and fz[e] > 0.0:
+                        total -= p[e, 0] * dmem[e, 0, t]
+                    elif code == 7:
+                        total += p[e, 0] * (d[e, 1] * dmem[e, 1, t] - d[e, 0] * dmem[e, 0, t])
+                    rhs[e, t] = -total
+            for e in range(k):
+                if fv[e] > 1e29:
+                    for t in range(nt):
+                        rhs[e, t] = -dsee[e, 1, t]
+                    for o in range(k):
+                        a[e, o] = gv[e, o]
+                else:
+                    for t in range(nt):
+                        rhs[e, t] -= fz[e] * dsee[e, 0, t] + fv[e] * dsee[e, 1, t]
+                    for o in range(k):
+                        a[e, o] = (1.0 if o == e else 0.0) + fz[e] * gz[e, o] + fv[e] * gv[e, o]
+            if k == 1:
+                for t in range(nt):
+                    df[0, t] = rhs[0, t] / a[0, 0]
+            else:
+                solved = np.linalg.solve(a, rhs)
+                for e in range(k):
+                    for t in range(nt):
+                        df[e, t] = solved[e, t]
+            for e in range(k):
+                for t in range(nt):
+                    dforces[step, e, t] = df[e, t]
+            for r in range(m):
+                for e in range(k):
+                    we0, we1 = w[e, r] * W1[0, r], w[e, r] * W1[1, r]
+                    for t in range(nt):
+                        X[0, r, t] += we0 * df[e, t]
+                        X[1, r, t] += we1 * df[e, t]
+            for e in range(k):
+                code = codes[e]
+                if code == 6 and fz[e] == 0.0 and p[e, 0] > 0.0:
+                    s = -1.0 if new[e] > 0 else 1.0
+                    for t in range(nt):
+                        dz = dsee[e, 0, t]
+                        for o in range(k):
+                            dz += gz[e, o] * df[o, t]
+                        back = dp[e, 1, t] / p[e, 0] - p[e, 1] * dp[e, 0, t] / p[e, 0] ** 2
+                        dmem[e, 0, t] = dz - s * back
+                elif code == 7:
+                    for t in range(nt):
+                        dz = dsee[e, 0, t]
+                        for o in range(k):
+                            dz += gz[e, o] * df[o, t]
+                        dmem[e, 1, t] = (
+                            d[e, 0] * (dz - dmem[e, 0, t]) + d[e, 1] * dmem[e, 1, t]
+                            + d[e, 2] * dp[e, 1, t] + d[e, 3] * dp[e, 2, t] + d[e, 4] * dp[e, 3, t]
+                        )  # fmt: skip
+                        dmem[e, 0, t] = dz
+        for e in range(k):
+            code = codes[e]
+            if code == 6:
+                z = motion[step, e, 0]
+                if p[e, 0] > 0.0 and abs(p[e, 0] * (z - memory[e, 0])) > p[e, 1]:
+                    memory[e, 0] = z - np.sign(z - memory[e, 0]) * p[e, 1] / p[e, 0]
+            elif code == 7:
+                z = motion[step, e, 0]
+                h = _hysteretic(z, p[e], memory[e], d[e])
+                memory[e, 0] = z
+                memory[e, 1] = h
+            f[e] = new[e]
+    return bad
+
+
+@njit(cache=True)
+def along(code, z, v, p, turns):  # pragma: no cover - compiled
+    """Opposing force of a law along a prescribed motion (n,), passed through `turns` times; that of the last pass."""
+    n = z.size
+    out = np.empty(n)
+    memory = np.zeros(2)
+    memory[0] = z[0]
+    lp = np.empty(10)
+    d = np.empty(5)
+    for _ in range(turns):
+        for i in range(n):
+            if code == 4:
+                out[i] = p[0] * np.sign(v[i])
+                continue
+            value, _, _ = law(code, z[i], v[i], p, memory, lp, d)
+            out[i] = value
+            if code == 6:
+                if p[0] > 0.0 and abs(p[0] * (z[i] - memory[0])) > p[1]:
+                    memory[0] = z[i] - np.sign(z[i] - memory[0]) * p[1] / p[0]
+            elif code == 7:
+                memory[1] = _hysteretic(z[i], p, memory, d)
+                memory[0] = z[i]
+    return out

@@ -1,0 +1,401 @@
+"""Joint fit of a base model and nonlinear laws to periodic runs at all levels, by simulation with exact slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
+from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.steady import Orbit, Steady
+
+FINE_STEPS = 8.0
+"""Steps of the march to a period of the highest excited line, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """A law at a motion: mechanism id, column (n,), parameters with their scales and bounds."""
+
+    mechanism: str
+    column: NDArray[np.float64]
+    start: NDArray[np.float64]
+    side: int = 1
+
+    @property
+    def shape(self) -> LawShape:
+        """The law."""
+        return SHAPES[self.mechanism]
+
+    @property
+    def n(self) -> int:
+        """Number of parameters."""
+        return len(self.shape.names)
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Which lines of a run enter the objective, and the standard deviation there (n_out, n)."""
+
+    at: NDArray[np.int64]
+    sigma: NDArray[np.float64]
+
+
+FLOOR, FLOOR_DISTORTION = 0.004, 0.02
+"""Relative errors that nothing explains: of a response, and of the distortion around a line."""
+
+
+def choose_lines(run: Run, most: int = 0, floor: float = FLOOR) -> Lines:
+    """Lines between the first and the last that is excited, `most` of them (0: all), with their deviation."""
+    from scipy.ndimage import uniform_filter1d
+
+    inside = np.flatnonzero(run.inside)
+    size = np.abs(run.y)
+    quiet = run.quiet
+    local = np.zeros(size.shape)
+    if quiet.any():
+        at = np.flatnonzero(quiet)
+        smooth = uniform_filter1d(size[:, at] ** 2, min(15, at.size), axis=1, mode="nearest")
+        grid = np.arange(size.shape[1])
+        local = np.array([np.interp(grid, at, row) for row in smooth])
+    noise = run.noise
+    if not np.isfinite(noise).all():
+        noise = np.full(size.shape, 0.0) + (1e-3 * np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))) ** 2
+    row = np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))
+    sigma = np.sqrt(noise + (floor * size) ** 2 + FLOOR_DISTORTION**2 * local + (0.02 * floor * row) ** 2)
+    if most and inside.size > most:
+        rng = np.random.default_rng(inside.size)
+        on, off = inside[run.excited[inside]], inside[~run.excited[inside]]
+        n_on = min(on.size, max(most // 2, most - off.size))
+        pick = [np.sort(rng.choice(a, min(n, a.size), replace=False)) for a, n in ((on, n_on), (off, most - n_on))]
+        inside = np.sort(np.concatenate(pick))
+    return Lines(inside, sigma[:, inside])
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """Where a fit ended."""
+
+    x: NDArray[np.float64]
+    objective: float
+    data_part: float
+    prior_part: float
+    covariance: NDArray[np.float64]
+    orbits: tuple[Orbit | None, ...]
+    terms: tuple[Acting, ...]
+    n_base: int
+    count: int
+    converged: bool
+
+    def law(self, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Parameters of the i-th law and their standard deviations."""
+        first = self.n_base + sum(t.n for t in self.terms[:i])
+        at = slice(first, first + self.terms[i].n)
+        return self.x[at], np.sqrt(np.maximum(np.diag(self.covariance)[at], 0))
+
+
+class Joint:
+    """The objective: runs, laws and the scatter of a sound model."""
+
+    def __init__(
+        self, engine: Engine, point: Point, runs: Sequence[Run], terms: Sequence[Acting], scatter: Scatter,
+        lines: Sequence[Lines],
+    ) -> None:  # fmt: skip
+        self.engine, self.runs, self.terms, self.scatter, self.lines = engine, tuple(runs), tuple(terms), scatter, lines
+        n = engine.basis.shape[0]
+        columns = np.array([t.column for t in terms]).T.reshape(n, len(terms))
+        self.k = len(terms)
+        periods = {(r.period, r.rate) for r in runs}
+        self.bases: dict[Any, Base] = {}
+        for period, rate in periods:
+            omega = 2 * np.pi * np.arange(period // 2 + 1) * rate / period
+            self.bases[(period, rate)] = Base(engine, point, columns, omega)
+        first = next(iter(self.bases.values()))
+        self.x0 = first.start()
+        self.n_base = self.x0.size
+        self.codes = np.array([t.shape.code for t in terms], np.int64)
+        self.steady = [Steady(r, self.codes, _fine(r)) for r in runs]
+        self._priors(point)
+        self._bounds()
+
+    def _priors(self, point: Point) -> None:
+        sc, e = self.scatter, self.engine
+        parameters = e.structure.parameters
+        m = e.band_modes.size
+        zeta0 = np.log(e.zeta0[e.band_modes])
+        self.mean = np.concatenate([e.theta0, np.zeros(m), zeta0, np.zeros(m), np.zeros(self.k * m)])
+        self.std = np.concatenate(
+            [[p.spread for p in parameters], np.full(m, sc.frequency), np.full(m, sc.damping), np.full(m, sc.residue),
+             np.full(self.k * m, sc.shape)]
+        )  # fmt: skip
+        mean, std = [], []
+        for t in self.terms:
+            one_mean, one_std = t.start.copy()[: t.n], np.full(t.n, np.inf)
+            if t.mechanism == "hysteresis":
+                one_mean[2:4], one_std[2:4] = (1.5, 0.5), (0.7, 0.2)
+            mean.append(one_mean)
+            std.append(one_std)
+        self.mean = np.concatenate([self.mean, *mean])
+        self.std = np.concatenate([self.std, *std])
+
+    def _bounds(self) -> None:
+        e = self.engine
+        m = e.band_modes.size
+        wide = np.concatenate([np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9), np.full(self.k * m, 0.5)])
+        low = np.concatenate([[p.lower for p in e.structure.parameters], -wide])
+        high = np.concatenate([[p.upper for p in e.structure.parameters], wide])
+        at = e.theta0.size + m
+        high[at : at + m] = np.log(0.7)
+        low, high, scale = [low], [high], [np.ones(low.size)]
+        for t in self.terms:
+            size = np.abs(t.start[: t.n])
+            s = np.where(size > 0, size, 1.0)
+            one_low = np.full(t.n, -np.inf)
+            one_high = np.full(t.n, np.inf)
+            if t.shape.positive:
+                one_low[:] = 0.0
+            if t.shape.law == "one-sided-gap":
+                one_low[1] = 0.0
+            if t.shape.law in ("stick-slip", "clearance", "hysteresis"):
+                one_low[:2] = 1e-6 * s[:2]
+            if t.shape.law == "hysteresis":
+                one_low[2:4], one_high[2:4] = (0.6, 0.02), (6.0, 1.0)
+            low.append(one_low)
+            high.append(one_high)
+            scale.append(s)
+        self.low, self.high, self.scale = np.concatenate(low), np.concatenate(high), np.concatenate(scale)
+
+    # ---------------------------------------------------------------- pieces
+
+    def laws(self, x: NDArray) -> NDArray[np.float64]:
+        """Parameters (k, N_P) of the laws in the vector."""
+        out = np.zeros((self.k, N_P))
+        at = self.n_base
+        for i, t in enumerate(self.terms):
+            out[i, : t.n] = x[at : at + t.n]
+            at += t.n
+        return out
+
+    def start(self, base: NDArray | None = None) -> NDArray[np.float64]:
+        """The vector from which to begin, the base part given (its places' motions may be absent)."""
+        x = self.x0.copy()
+        if base is not None:
+            n = min(base.size, x.size)
+            x[:n] = base[:n]
+        return np.concatenate([x, *(t.start[: t.n] for t in self.terms)])
+
+    def receptances(self, x: NDArray) -> dict[Any, Receptance]:
+        """One for each period length."""
+        return {key: b.at(x[: self.n_base]) for key, b in self.bases.items()}
+
+    def settle(self, x: NDArray, orbits: Sequence[Orbit | None], steps: int) -> list[Orbit | None]:
+        """Steady states at `x` from those given."""
+        if not self.k:
+            return [None] * len(self.runs)
+        made = self.receptances(x)
+        p = self.laws(x)
+        out: list[Orbit | None] = []
+        for run, steady, orbit in zip(self.runs, self.steady, orbits, strict=True):
+            r = made[(run.period, run.rate)]
+            if orbit is None:
+                orbit = steady.guess(r, np.zeros((steady.n, self.k)))
+            out.append(steady.settle(r, p, orbit, steps))
+        return out
+
+    def predict(self, x: NDArray, orbits: Sequence[Orbit | None]) -> list[NDArray[np.complex128]]:
+        """Spectra of the responses, (n_out, n_lines) a run."""
+        made = self.receptances(x)
+        return [self._response(made[(r.period, r.rate)], r, o) for r, o in zip(self.runs, orbits, strict=True)]
+
+    @staticmethod
+    def _response(r: Receptance, run: Run, orbit: Orbit | None) -> NDArray[np.complex128]:
+        y = r.plain * (r.gain * run.u)
+        if orbit is not None:
+            y = y + np.einsum("okf,kf->of", r.h, orbit.force)
+        return r.lift * y
+
+    def _nuisance(self, r: Receptance, run: Run, orbit: Orbit | None, lines: Lines, y: NDArray) -> NDArray:
+        """Complex columns (n_out, n, n_lines) of what is marginalised, over sigma."""
+        sc, e = self.scatter, self.engine
+        at, b = lines.at, e.band_modes
+        drive = r.load[b][:, None] * (r.gain * run.u)[at]
+        if orbit is not None:
+            drive = drive + r.w[:, b].T @ orbit.force[:, at]
+        modal = sc.shape * e.typical[:, None] * r.d[b][:, at] * drive
+        modal = r.lift[:, None, at] * modal
+        y = y[:, at]
+        s = at / max(at[-1], 1)
+        others = np.stack([sc.gain * y, 1j * sc.phase * y, 1j * sc.phase * s * y], axis=1)
+        outside = np.setdiff1d(np.arange(r.omega.size), b)
+        if outside.size:
+            rest = (r.out[outside].T * r.load[outside]) @ r.d[outside][:, at] * (r.gain * run.u)[at] * r.lift[:, at]
+            others = np.concatenate([others, sc.remainder * rest[:, None], 0.3j * sc.remainder * rest[:, None]], axis=1)
+        all_ = np.concatenate([modal, 1j * (sc.complexity / sc.shape) * modal, others], axis=1)
+        return all_ / lines.sigma[:, None]
+
+    @staticmethod
+    def _real(a: NDArray) -> NDArray[np.float64]:
+        """(..., n) complex to (..., 2 n) real, so that squares sum to 2 |a|^2 / E|error|^2."""
+        a = a * np.sqrt(2.0)
+        return np.concatenate([a.real, a.imag], axis=-1)
+
+    def parts(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, NDArray]:
+        """Whitened residual (n_out, N) and marginalised columns (n_out, n, N)."""
+        made = self.receptances(x)
+        r_all, b_all = [], []
+        for run, lines, orbit in zip(self.runs, self.lines, orbits, strict=True):
+            r = made[(run.period, run.rate)]
+            y = self._response(r, run, orbit)
+            r_all.append(self._real((run.y - y)[:, lines.at] / lines.sigma))
+            b_all.append(self._real(self._nuisance(r, run, orbit, lines, y)))
+        return np.concatenate(r_all, axis=-1), np.concatenate(b_all, axis=-1)
+
+    def value(self, x: NDArray, orbits: Sequence[Orbit | None], columns: NDArray) -> float:
+        """Objective, what is marginalised held."""
+        r, _ = self.parts(x, orbits)
+        return _reduced(r, columns)[0] + self.price(x)
+
+    def price(self, x: NDArray) -> float:
+        """Of the parameters' distance from their priors."""
+        return float(np.sum(((x - self.mean) / self.std) ** 2))
+
+    def slopes(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, list[Orbit | None]]:
+        """Derivatives of the whitened responses, (n_out, n_x, N), and the orbits marched once more."""
+        made = self.receptances(x)
+        derived = {key: b.derivatives(x[: self.n_base], made[key]) for key, b in self.bases.items()}
+        p = self.laws(x)
+        n_law = sum(t.n for t in self.terms)
+        vary = np.zeros((n_law, self.k, N_P))
+        at = 0
+        for i, t in enumerate(self.terms):
+            for j in range(t.n):
+                vary[at, i, j] = self.scale[self.n_base + at]
+                at += 1
+        out, new = [], []
+        for run, lines, steady, orbit in zip(self.runs, self.lines, self.steady, orbits, strict=True):
+            key = (run.period, run.rate)
+            r, (dp, dh, dz, dg) = made[key], derived[key]
+            here = lines.at
+            drive = (r.gain * run.u)[here]
+            change = dp[:, :, here] * drive
+            if orbit is not None:
+                orbit, slope = steady.slopes(r, p, orbit, (dz, dg), vary)
+                change = change + np.einsum("nokf,kf->nof", dh[..., here], orbit.force[:, here])
+                moved = slope.force[:, here]  # (k, f, n)
+                through = np.einsum("okf,kfn->nof", r.h[..., here], moved)
+                change = np.concatenate([change + through[: self.n_base], through[self.n_base :]])
+            change = change * (r.lift[:, here] / lines.sigma)
+            out.append(self._real(np.moveaxis(change, 0, 1)))
+            new.append(orbit)
+        return np.concatenate(out, axis=-1), new
+
+
+def _fine(run: Run) -> int:
+    top = np.flatnonzero(run.excited)[-1]
+    fine = 1
+    while run.period * fine < FINE_STEPS * top and fine < 16:
+        fine *= 2
+    return fine
+
+
+def _reduced(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:
+    gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1])
+    br = np.einsum("onf,of->on", b, r)
+    inner = np.linalg.solve(gram, br[..., None])[..., 0]
+    return float(np.sum(r * r) - np.sum(br * inner)), gram, inner
+
+
+def fit(
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], *, steps: int = 10, tolerance: float = 1e-3,
+    floor: float = 1.0,
+) -> Made:  # fmt: skip
+    """Levenberg-Marquardt from `x`; ends when a step gains less than `tolerance` of the objective and `floor`."""
+    scale, low, high = joint.scale, joint.low, joint.high
+    x = np.clip(x, low, high)
+    orbits = joint.settle(x, orbits, 8)
+    damping, converged = 1e-3, False
+    prior = (scale / joint.std) ** 2
+    best: tuple[float, NDArray, Any, NDArray] | None = None
+    reach = np.concatenate([_reach(joint), np.full(x.size - joint.n_base, 0.7)])
+    small = 0
+    for _ in range(steps):
+        jac, orbits = joint.slopes(x, orbits)
+        r, b = joint.parts(x, orbits)
+        part, gram, inner = _reduced(r, b)
+        value = part + joint.price(x)
+        bj = np.matmul(b, jac.transpose(0, 2, 1))
+        hessian = np.einsum("oif,ojf->ij", jac, jac, optimize=True)
+        hessian -= np.einsum("obi,obj->ij", bj, np.linalg.solve(gram, bj), optimize=True)
+        gradient = np.einsum("onf,of->n", jac, r, optimize=True) - np.einsum("obn,ob->n", bj, inner)
+        gradient -= prior * (x - joint.mean) / scale * np.isfinite(joint.std)
+        hessian += np.diag(prior)
+        if best is None or value < best[0]:
+            best = (value, x, orbits, hessian)
+        moved = False
+        for _ in range(5):
+            trial = _step(joint, x, gradient, hessian, damping, reach)
+            found = joint.settle(trial, orbits, 4)
+            after = joint.value(trial, found, b)
+            if np.isfinite(after) and after < value:
+                moved = True
+                break
+            damping *= 6.0
+        if not moved:
+            converged = True
+            break
+        gain = value - after
+        x, orbits, damping = trial, found, max(damping / 5.0, 1e-8)
+        small = small + 1 if gain < max(tolerance * value, floor) else 0
+        if small >= 1:
+            converged = True
+            break
+    r, b = joint.parts(x, orbits)
+    value = _reduced(r, b)[0] + joint.price(x)
+    assert best is not None
+    if best[0] < value:
+        value, x, orbits = best[0], best[1], best[2]
+    hessian = best[3]
+    d = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    inverse = np.linalg.pinv(hessian / np.outer(d, d), rcond=1e-12) / np.outer(d, d)
+    covariance = inverse * np.outer(scale, scale)
+    price = joint.price(x)
+    return Made(
+        x, value, value - price, price, covariance, tuple(orbits), joint.terms, joint.n_base, int(r.size), converged
+    )
+
+
+def _reach(joint: Joint) -> NDArray[np.float64]:
+    e = joint.engine
+    m = e.band_modes.size
+    first = np.array([p.upper - p.lower for p in e.structure.parameters])
+    return np.concatenate([first, np.full(m, 0.02), np.full(m, 0.7), np.full(m, 0.3), np.full(joint.k * m, 0.3)])
+
+
+def _step(
+    joint: Joint, x: NDArray, gradient: NDArray, hessian: NDArray, damping: float, reach: NDArray
+) -> NDArray[np.float64]:
+    at_low = (x <= joint.low) & (gradient < 0)
+    at_high = (x >= joint.high) & (gradient > 0)
+    free = ~(at_low | at_high)
+    d = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    scaled = hessian / np.outer(d, d) + damping * np.eye(d.size)
+    step = np.zeros_like(x)
+    step[free] = np.linalg.lstsq(scaled[np.ix_(free, free)], (gradient / d)[free], rcond=1e-13)[0] / d[free]
+    own = np.maximum(np.abs(x[joint.n_base :] / joint.scale[joint.n_base :]), 0.05)
+    most = reach.copy()
+    most[joint.n_base :] *= own
+    step = step / max(1.0, float(np.max(np.abs(step) / most)))
+    return np.clip(x + step * joint.scale, joint.low, joint.high)
+
+
+def with_runs(made: Made, n: int) -> Made:
+    """The fit without its orbits, for other runs."""
+    return replace(made, orbits=(None,) * n)

@@ -1,0 +1,179 @@
+"""Receptances of the updated base model between input, sensors and the places of nonlinear forces, and derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point
+from labnnum.frf import MOTION_ORDER
+
+
+@dataclass(frozen=True, eq=False)
+class Receptance:
+    """What the lines of one period need of the base model.
+
+    Displacements per force: `plain` (o, f) to the input, `h` (o, k, f) sensors to a force at the places, `z` (k, f)
+    places to the input, `g` (k, k, f) among the places; `lift` (o, f) from displacement to what the channels read,
+    `gain` (f,) from what the input channel reads to the force (or base motion) that acts.
+    `omega`, `zeta` (m,), `w` (k, m), `rest` (k, k) are the modes as they are marched.
+    """
+
+    s: NDArray
+    plain: NDArray
+    h: NDArray
+    z: NDArray
+    g: NDArray
+    lift: NDArray
+    gain: NDArray
+    omega: NDArray
+    zeta: NDArray
+    w: NDArray
+    rest: NDArray
+    d: NDArray
+    out: NDArray
+    load: NDArray
+
+
+class Base:
+    """The base model at places `columns` (n, k), on lines s = i omega (n_f,) of which the first may be zero.
+
+    The vector that may vary holds the structure's parameters, then for each band mode a frequency offset, the
+    logarithm of its damping, an offset of its load, and, place by place, of its motion there, as in
+    `labnnum.diagnosis.engine.Point`.
+    """
+
+    def __init__(self, engine: Engine, point: Point, columns: NDArray, omega: NDArray) -> None:
+        self.engine, self.point, self.columns = engine, point, columns
+        self.s = 1j * np.asarray(omega, float)
+        self.k = columns.shape[1]
+        e = engine
+        self.high_w = columns.T @ e.high
+        rows = np.array([e.participation(c.dof, e.theta0) for c in e.outputs])
+        self.high_out = rows @ e.high
+        if e.is_base:
+            m = e.structure.matrices(e.theta0)
+            r = np.real(e.structure.rigid(e.theta0))
+            self.high_load = (-(np.real(m.M) @ r) @ e.high)[None]
+            self.rigid_out = rows @ r
+        else:
+            self.high_load = np.array([e.participation(e.inputs[0].dof, e.theta0)]) @ e.high
+        first = e.state(e.theta0)
+        w = columns.T @ first.shape
+        b = e.band_modes
+        self.w_typical = np.maximum(np.abs(w[:, b]), 0.1 * np.abs(w[:, b]).max(axis=1, keepdims=True, initial=0.0))
+        some = np.abs(self.s) > 0
+        safe = np.where(some, self.s, 1.0)
+        rise = np.array([MOTION_ORDER[c.quantity] for c in e.outputs])
+        self.lift = e.sign_out[:, None] * np.where(some | (rise[:, None] == 0), safe ** rise[:, None], 0.0)
+        order = MOTION_ORDER[e.inputs[0].quantity] if e.is_base else 2
+        self.gain = np.where(some | (order == 2), safe ** (2 - order), 0.0) / e.sign_in[0]
+        self.some, self.safe = some, safe
+
+    # ---------------------------------------------------------------- the vector
+
+    def start(self) -> NDArray[np.float64]:
+        """The vector at the engine's point."""
+        p = self.point
+        return np.concatenate([p.theta, p.shift, p.log_zeta, p.size, np.zeros(self.k * p.shift.size)])
+
+    @property
+    def cuts(self) -> NDArray[np.int64]:
+        """Where shift, log_zeta, size and motion begin."""
+        n, m = self.point.theta.size, self.point.shift.size
+        return np.array([n, n + m, n + 2 * m, n + 3 * m])
+
+    def _remainder(self, a: NDArray, b: NDArray) -> NDArray:
+        static = a @ b.T
+        slope = (a / np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf) ** 2) @ b.T
+        return static[:, :, None] - slope[:, :, None] * self.s**2
+
+    # ---------------------------------------------------------------- values
+
+    def at(self, x: NDArray) -> Receptance:
+        """Receptances at the vector `x`."""
+        e = self.engine
+        theta, shift, log_zeta, size, motion = np.split(x, self.cuts)
+        st = e.state(theta)
+        b = e.band_modes
+        omega = st.omega.copy()
+        omega[b] = omega[b] * (1 + shift)
+        zeta = e.zeta0[: omega.size].copy()
+        common = np.mean(log_zeta - np.log(zeta[b]))
+        outside = np.setdiff1d(np.arange(omega.size), b)
+        zeta[outside] = np.minimum(zeta[outside] * np.exp(common), 0.95)
+        zeta[b] = np.exp(log_zeta)
+        share = float(self.point.law[0])
+        rate = (1 - share) * self.s + 1j * share * omega[:, None]
+        square = omega[:, None] ** 2 + 2 * (zeta * omega)[:, None] * rate + self.s**2
+        d = np.where(square != 0, 1.0 / np.where(square != 0, square, 1.0), 0.0)
+        load = st.load[:, 0].copy()
+        load[b] += size * e.load_typical
+        w = self.columns.T @ st.shape
+        w[:, b] += motion.reshape(self.k, b.size) * self.w_typical
+        out = st.out
+        plain = (out.T * load) @ d
+        h = np.einsum("mo,km,mf->okf", out, w, d, optimize=True)
+        z = (w * load) @ d
+        g = np.einsum("km,lm,mf->klf", w, w, d, optimize=True)
+        if e.high.shape[1]:
+            plain = plain + self._remainder(self.high_out, self.high_load)[:, 0]
+            h = h + self._remainder(self.high_out, self.high_w)
+            z = z + self._remainder(self.high_w, self.high_load)[:, 0]
+            g = g + self._remainder(self.high_w, self.high_w)
+        if e.is_base:
+            plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)
+        rest = self.high_w @ self.high_w.T
+        return Receptance(self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load)
+
+    # ---------------------------------------------------------------- derivatives
+
+    def derivatives(self, x: NDArray, r: Receptance) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Of plain (n, o, f), h (n, o, k, f), z (n, k, f) and g (n, k, k, f) to each entry of `x`."""
+        e, b = self.engine, self.engine.band_modes
+        theta, shift, _, _, _ = np.split(x, self.cuts)
+        st = e.state(theta)
+        n_t, m_b, k, n_f = theta.size, b.size, self.k, self.s.size
+        n_o = len(e.outputs)
+        n = n_t + (3 + k) * m_b
+        dp = np.zeros((n, n_o, n_f), complex)
+        dh = np.zeros((n, n_o, k, n_f), complex)
+        dz = np.zeros((n, k, n_f), complex)
+        dg = np.zeros((n, k, k, n_f), complex)
+        share = float(self.point.law[0])
+        rate = (1 - share) * self.s + 1j * share * r.omega[:, None]
+        by_omega = -(r.d**2) * ((2 * r.omega + 2j * share * r.zeta * r.omega)[:, None] + 2 * r.zeta[:, None] * rate)
+        by_zeta = -(r.d**2) * (2 * (r.omega * r.zeta)[:, None] * rate)
+        for j in range(n_t):
+            dd = by_omega * (st.d_log[j] * r.omega)[:, None]
+            dw = (self.columns.T @ st.shape) @ st.mix[j]
+            do, dl = st.d_out[j], st.d_load[j][:, 0]
+            dp[j] = (do.T * r.load + r.out.T * dl) @ r.d + (r.out.T * r.load) @ dd
+            for a in range(k):
+                dh[j, :, a] = (do.T * r.w[a] + r.out.T * dw[a]) @ r.d + (r.out.T * r.w[a]) @ dd
+                dz[j, a] = (dw[a] * r.load + r.w[a] * dl) @ r.d + (r.w[a] * r.load) @ dd
+                for c in range(k):
+                    dg[j, a, c] = (dw[a] * r.w[c] + r.w[a] * dw[c]) @ r.d + (r.w[a] * r.w[c]) @ dd
+        at = n_t
+        for i, mode in enumerate(b):
+            o, w, load = r.out[mode], r.w[:, mode], r.load[mode]
+            for first, dd in ((at, by_omega[mode] * r.omega[mode] / (1 + shift[i])), (at + m_b, by_zeta[mode])):
+                row = first + i
+                dp[row] = (o * load)[:, None] * dd
+                dh[row] = np.outer(o, w)[:, :, None] * dd
+                dz[row] = (w * load)[:, None] * dd
+                dg[row] = np.outer(w, w)[:, :, None] * dd
+            row = at + 2 * m_b + i
+            one = r.d[mode] * e.load_typical[i]
+            dp[row] = o[:, None] * one
+            dz[row] = w[:, None] * one
+            for a in range(k):
+                row = at + (3 + a) * m_b + i
+                one = r.d[mode] * self.w_typical[a, i]
+                dh[row, :, a] = o[:, None] * one
+                dz[row, a] = load * one
+                dg[row, a] += w[:, None] * one
+                dg[row, :, a] += w[:, None] * one
+        return dp, dh, dz, dg

@@ -1,0 +1,91 @@
+"""One periodic run as the nonlinear diagnosis sees it: spectra of input and responses, noise, what was excited."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.recording import Channel
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Steady response to a periodic input.
+
+    Spectra are amplitudes: x(t) = Re sum_k X_k exp(i omega_k t), lines k = 0 ... n/2.
+
+    Parameters
+    ----------
+    rate : float
+        Hz.
+    period : int
+        Samples, n.
+    u : ndarray, shape (n_lines,)
+        Input.
+    y : ndarray, shape (n_out, n_lines)
+    noise : ndarray, shape (n_out, n_lines)
+        E|error|^2 of the responses that noise leaves in the mean over periods, that of the input included; NaN
+        from a single period.
+    excited : ndarray of bool, shape (n_lines,)
+    level : float
+        RMS of the input.
+    """
+
+    rate: float
+    period: int
+    u: NDArray[np.complex128]
+    y: NDArray[np.complex128]
+    noise: NDArray[np.float64]
+    excited: NDArray[np.bool_]
+    level: float
+    label: str
+    outputs: tuple[Channel, ...]
+    input: Channel
+    n_periods: int
+
+    @property
+    def frequency(self) -> NDArray[np.float64]:
+        """Hz, shape (n_lines,)."""
+        return np.arange(self.u.size) * self.rate / self.period
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Lines from the first to the last that was excited."""
+        at = np.flatnonzero(self.excited)
+        out = np.zeros(self.excited.size, bool)
+        out[at[0] : at[-1] + 1] = True
+        return out
+
+    @property
+    def quiet(self) -> NDArray[np.bool_]:
+        """Detection lines: inside, not excited."""
+        return self.inside & ~self.excited
+
+
+def run_of(
+    spectra: NDArray, on: NDArray, inputs: list[int], outputs: list[int], rate: float, period: int, level: float,
+    label: str, channels: tuple[Channel, ...],
+) -> Run:  # fmt: skip
+    """The run of period spectra (n_periods, n_channels, n_lines), each scaled by 2/n, with excited lines `on`."""
+    from scipy.ndimage import uniform_filter1d
+
+    mean = spectra.mean(axis=0)
+    u, y = mean[inputs[0]], mean[outputs]
+    n_periods = spectra.shape[0]
+    if n_periods > 1:
+        lines = np.flatnonzero(on)
+        h = y[:, on] / u[on]
+        grid = np.arange(on.size)
+        through = np.array([np.interp(grid, lines, r.real) + 1j * np.interp(grid, lines, r.imag) for r in h])
+        each = spectra - mean
+        error = each[:, outputs] - np.where(on, through, 0.0) * each[:, inputs[0]][:, None]
+        noise = np.mean(np.abs(error) ** 2, axis=0) / (n_periods - 1)
+        noise = uniform_filter1d(noise, min(25, max(noise.shape[1] // 8, 1)), axis=1, mode="nearest")
+    else:
+        noise = np.full(y.shape, np.nan)
+    return Run(
+        rate, period, u, y, noise, on, level, label, tuple(channels[i] for i in outputs), channels[inputs[0]],
+        n_periods,
+    )  # fmt: skip
