@@ -8,7 +8,7 @@ complex s, so that exponential windows and broadened resonances need no code of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import ChannelMechanism, Site, Term
+from labnnum.mechanisms.geometry import held_motions
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
 
@@ -31,6 +32,8 @@ class State:
     `omega` (m,) in rad/s; `out` (m, n_out), `load` (m, n_in) modal participations of sensors and inputs; `span` (n, m)
     shapes; per parameter the derivatives of log frequency `d_log` (n_par, m), of the shapes as a mix of the shapes
     `mix` (n_par, m, m), of the loads `d_load` (n_par, m, n_in) and of the sensors `d_out` (n_par, m, n_out).
+    `high_out` (n_out, h) and `high_in` (n_in, h): shares of the modes above the basis. With base motion `rigid` (n,)
+    is its influence and `rigid_out` (n_out,) what the sensors move with it.
     """
 
     theta: NDArray
@@ -42,6 +45,10 @@ class State:
     mix: NDArray
     d_load: NDArray
     d_out: NDArray
+    high_out: NDArray
+    high_in: NDArray
+    rigid: NDArray
+    rigid_out: NDArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +109,7 @@ class Engine:
         if self.is_base and len(self.inputs) > 1:
             raise ModelError("base motion and force at the same time are not supported: import them as separate runs")
         self._cache: dict[bytes, State] = {}
+        self._grids: dict[tuple[int, int, int], tuple] = {}
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
         self.sign_out = np.array([c.sign for c in self.outputs])
         self.sign_in = np.array([c.sign for c in self.inputs])
@@ -114,6 +122,7 @@ class Engine:
         if not inside.any():
             inside[self.rigid_modes : self.rigid_modes + 1] = True
         self.band_modes = np.flatnonzero(inside)
+        self.outside_modes = np.setdiff1d(np.arange(first.omega.size), self.band_modes)
         self.zeta0 = self._damping(first)
         self._sizes(first)
 
@@ -177,7 +186,8 @@ class Engine:
             raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}") from None
         shape = v @ q
         shape = shape * np.where(shape[np.abs(shape).argmax(axis=0), np.arange(shape.shape[1])] < 0, -1.0, 1.0)
-        out = np.array([self.participation(c.dof, theta) for c in self.outputs]) @ shape
+        sensors = np.array([self.participation(c.dof, theta) for c in self.outputs])
+        out = sensors @ shape
         d = self.structure.derivatives(theta)
         omega = np.sqrt(np.maximum(value, 0))
         mixed = [_mode_derivatives(shape.T @ x.K @ shape, shape.T @ x.M @ shape, value) for x in d]
@@ -187,19 +197,34 @@ class Engine:
         if self.is_base:
             r = np.real(self.structure.rigid(theta))
             load = -(shape.T @ (np.real(m.M) @ r))[:, None]
+            high_in = -((np.real(m.M) @ r) @ self.high)[None]
             d_load = np.array([-(shape.T @ (x.M @ r))[:, None] for x in d]).reshape(n_par, -1, 1)
         else:
-            load = (np.array([self.participation(c.dof, theta) for c in self.inputs]) @ shape).T
+            r = np.zeros(shape.shape[0])
+            drives = np.array([self.participation(c.dof, theta) for c in self.inputs])
+            load = (drives @ shape).T
+            high_in = drives @ self.high
             d_load = np.array([self.structure.participation_derivatives(c.dof, theta) @ shape for c in self.inputs])
             d_load = np.moveaxis(d_load, 0, 2)
         d_out = np.array([self.structure.participation_derivatives(c.dof, theta) @ shape for c in self.outputs])
         d_out = np.moveaxis(d_out, 0, 2)
         turn = np.moveaxis(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
-        return State(theta, omega, shape, out.T, load, d_log, mix, d_load + turn @ load, d_out + turn @ out.T)
+        return State(
+            theta, omega, shape, out.T, load, d_log, mix, d_load + turn @ load, d_out + turn @ out.T,
+            sensors @ self.high, high_in, r, sensors @ r,
+        )  # fmt: skip
 
     def participation(self, dof: str, theta: NDArray) -> NDArray[np.float64]:
         """Row of the structure's participation, real."""
         return np.real(self.structure.participation(dof, theta))
+
+    def grid(self, term: Term, starts: NDArray, s: NDArray) -> NDArray[np.complex128]:
+        """Dynamic stiffness of `term` at each of `starts`, shape (n_starts, k, k, n_f); remembered."""
+        key = (id(term), id(s), starts.tobytes().__hash__())
+        if key not in self._grids:
+            made = np.array([term.stiffness(s, p) for p in starts])
+            self._grids[key] = (made, term, s)  # holding both keeps their identities from being used again
+        return self._grids[key][0]
 
     def start(self, terms: Sequence[Term] = (), p: Sequence[float] | NDArray = ()) -> Point:
         """The nominal point, with the terms' parameters `p` (zero where not given)."""
@@ -221,6 +246,7 @@ class Engine:
             np.real(m.M), np.real(m.K), dofs, dict(self.structure.nodes), tuple(free_nodes), tuple(elements),
             tuple(supports), self.outputs + self.inputs, len(self.outputs), first.omega[self.band_modes],
             first.shape[:, self.band_modes], rigid, drive,
+            tuple(np.real(d.K) for d in self.structure.derivatives(self.theta0)), held_motions(self.structure),
         )  # fmt: skip
 
     # ---------------------------------------------------------------- responses
@@ -241,6 +267,7 @@ class _Evaluation:
         self.others = [(t, self._slice(terms, i)) for i, t in enumerate(terms) if not t.groups]
         self.n_terms = point.terms.size
         self.state = engine.state(point.theta)
+        self.change = point.theta - engine.theta0
         self._modes()
         self._points()
 
@@ -259,7 +286,7 @@ class _Evaluation:
         omega[b] = omega[b] * (1 + self.point.shift)
         zeta = e.zeta0[: omega.size].copy()
         common = np.mean(self.point.log_zeta - np.log(zeta[b]))
-        self.outside = np.setdiff1d(np.arange(omega.size), b)
+        self.outside = e.outside_modes
         zeta[self.outside] = np.minimum(zeta[self.outside] * np.exp(common), 0.95)  # a guess follows the fitted ones
         zeta[b] = np.exp(self.point.log_zeta)
         self.omega, self.zeta = omega, zeta
@@ -285,10 +312,10 @@ class _Evaluation:
         self.g = np.zeros((columns.shape[1], columns.shape[1], s.size), complex)
         at = 0
         for t, c in self.acting:
-            self.g[at : at + t.width, at : at + t.width] = t.stiffness(s, self.point.terms[c])
+            self.g[at : at + t.width, at : at + t.width] = t.stiffness(s, self.point.terms[c], self.change)
             at += t.width
         self.inertial = np.concatenate([t.inertial for t, _ in self.acting])
-        self.rigid = columns.T @ np.real(e.structure.rigid(st.theta)) if e.is_base else np.zeros(columns.shape[1])
+        self.rigid = columns.T @ st.rigid + (np.concatenate([t.offset for t, _ in self.acting]) if e.is_base else 0.0)
 
     def _remainder(self, left: NDArray, right: NDArray) -> NDArray:
         """Quasi-static share of the modes above the basis: (l, h) x (r, h) -> (l, r, n_f)."""
@@ -296,19 +323,15 @@ class _Evaluation:
         slope = (left / np.where(self.e.high_omega > 0, self.e.high_omega, np.inf) ** 2) @ right.T
         return static[:, :, None] - slope[:, :, None] * self.s**2
 
-    def _high(self, dofs: Sequence[str]) -> NDArray:
-        rows = [self.e.participation(d, self.state.theta) for d in dofs]
-        return np.array(rows) @ self.e.high
-
     def run(self, jacobian: bool, modal: bool) -> Response:
         e, st, s = self.e, self.state, self.s
-        x, q, out_high = self._bare()
+        x, q = self._bare()
         p_out = st.out[:, :, None] * self.d[:, None, :]  # (m, o, f)
         z_in = z_out = None
         if self.acting:
-            q, x, p_out, z_in, z_out = self._couple(q, x, p_out, out_high)
+            q, x, p_out, z_in, z_out = self._couple(q, x, p_out)
         if e.is_base:
-            x = x + (self._sensor_rigid()[:, None] / s**2)[:, None, :]
+            x = x + (st.rigid_out[:, None] / s**2)[:, None, :]
         extra = self._extra(x)
         lift = self._lift()
         chain = self._chain()
@@ -318,7 +341,7 @@ class _Evaluation:
         if jacobian:
             jac = self._jacobian(q, p_out, z_in, z_out, extra) * (lift * chain)[None]
             self._chain_jacobian(jac, x * lift)
-            jac = np.stack([swap(j) for j in jac])
+            jac = jac if swap is None else np.stack([swap(j) for j in jac])
         if not modal:
             return Response(value)
         b = e.band_modes
@@ -330,8 +353,8 @@ class _Evaluation:
         """For the last `own` columns of motion, with the columns before them coupled: x (o, i, f), and the
         receptances h (o, k, f), z (k, i, f), G (k, k, f) through which those last columns couple.
         """
-        x, q, out_high = self._bare()
-        h0, z0, gw, _ = self._receptances(q, out_high)
+        x, q = self._bare()
+        h0, z0, gw, _ = self._receptances(q)
         held = gw.shape[0] - own
         if held:
             g = self.g[:held, :held]
@@ -346,26 +369,24 @@ class _Evaluation:
         else:
             z, h = z0, h0
         if self.e.is_base:
-            x = x + (self._sensor_rigid()[:, None] / self.s**2)[:, None, :]
+            x = x + (self.state.rigid_out[:, None] / self.s**2)[:, None, :]
         self._extra(x)
         return x, h, z, gw
 
     def to_channels(self, x: NDArray) -> NDArray:
         """Displacements (n, o, i, f) to what the channels read."""
         value = x * (self._lift() * self._chain())[None]
-        return np.stack([self._swap(v)[0] for v in value])
+        _, swap = self._swap(value[0])
+        return value if swap is None else np.stack([swap(v) for v in value])
 
-    def _bare(self) -> tuple[NDArray, NDArray, NDArray]:
-        """Displacements x (o, i, f), modal motions q (m, i, f) and the sensors' shares of the high modes."""
+    def _bare(self) -> tuple[NDArray, NDArray]:
+        """Displacements x (o, i, f) and modal motions q (m, i, f)."""
         e = self.e
         q = self.d[:, None, :] * self.load[:, :, None]
         x = _dot(self.state.out.T, q)
-        out_high = self._high([c.dof for c in e.outputs])
-        if e.high.shape[1] and not e.is_base:
-            x = x + self._remainder(out_high, self._high([c.dof for c in e.inputs]))
-        elif e.high.shape[1]:
-            x = x + self._remainder(out_high, self._base_high()[None])
-        return x, q, out_high
+        if e.high.shape[1]:
+            x = x + self._remainder(self.state.high_out, self.state.high_in)
+        return x, q
 
     def _lift(self) -> NDArray:
         """Factor from displacement per force (or per base acceleration) to what the channels read, (o, i, f)."""
@@ -373,31 +394,21 @@ class _Evaluation:
         lift = (e.sign_out[:, None, None] * s[None, None, :] ** e.rise[:, None, None]) / e.sign_in[None, :, None]
         return lift * s ** (2 - MOTION_ORDER[e.inputs[0].quantity]) if e.is_base else lift
 
-    def _receptances(self, q: NDArray, out_high: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    def _receptances(self, q: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """h0 (o, k, f), z0 (k, i, f), G (k, k, f) at the terms' motions, and D wᵀ (m, k, f)."""
         dw = self.w.T[:, :, None] * self.d[:, None, :]
         gw, z0, h0 = _dot(self.w, dw), _dot(self.w, q), _dot(self.state.out.T, dw)
         if self.e.high.shape[1]:
             gw = gw + self._remainder(self.w_high, self.w_high)
-            h0 = h0 + self._remainder(out_high, self.w_high)
-            right = self._base_high()[None] if self.e.is_base else self._high([c.dof for c in self.e.inputs])
-            z0 = z0 + self._remainder(self.w_high, right)
+            h0 = h0 + self._remainder(self.state.high_out, self.w_high)
+            z0 = z0 + self._remainder(self.w_high, self.state.high_in)
         if self.e.is_base:
             z0 = z0 + ((self.rigid * self.inertial)[:, None] / self.s**2)[:, None, :]
         return h0, z0, gw, dw
 
-    def _base_high(self) -> NDArray:
-        m = self.e.structure.matrices(self.state.theta)
-        r = np.real(self.e.structure.rigid(self.state.theta))
-        return -(np.real(m.M) @ r) @ self.e.high
-
-    def _sensor_rigid(self) -> NDArray:
-        r = np.real(self.e.structure.rigid(self.state.theta))
-        return np.array([self.e.participation(c.dof, self.state.theta) @ r for c in self.e.outputs])
-
-    def _couple(self, q: NDArray, x: NDArray, p_out: NDArray, out_high: NDArray) -> tuple[NDArray, ...]:
+    def _couple(self, q: NDArray, x: NDArray, p_out: NDArray) -> tuple[NDArray, ...]:
         """Add the acting terms: motion z there solves (I + G g) z = z0, the force is -g z."""
-        h0, z0, gw, dw = self._receptances(q, out_high)
+        h0, z0, gw, dw = self._receptances(q)
         loop = _across(gw, self.g)
         a = _solve(loop, z0)  # (k, i, f)
         force = -_across(self.g, a)
@@ -423,6 +434,9 @@ class _Evaluation:
         return out
 
     def _swap(self, value: NDArray):
+        """Value with rows exchanged or inverted, and the function that does it (None if nothing is)."""
+        if not any(t.data.keys() & {"swap", "invert"} for t, _ in self.others):
+            return value, None
         order = np.arange(value.shape[0])
         sign = np.ones(value.shape[0])
         whole = 1.0
@@ -474,6 +488,13 @@ class _Evaluation:
 
     # ---------------------------------------------------------------- derivatives
 
+    def _acting_columns(self) -> Iterator[tuple[Term, slice, int, int]]:
+        """Each acting term with its parameters and the range of its columns."""
+        first = 0
+        for term, c in self.acting:
+            yield term, c, first, first + term.width
+            first += term.width
+
     def _shear_share(self) -> NDArray:
         """Derivative of the logarithm of the frequencies to that of the structure's own, (m,)."""
         out = np.ones(self.base_omega.size)
@@ -504,10 +525,12 @@ class _Evaluation:
             jac[j] = np.einsum("mof,mif->oif", p_out, push) + _dot(st.d_out[j].T, q)
             if z_in is not None and z_out is not None:
                 jac[j] -= _across(np.moveaxis(z_out, 0, 1), _across(self.g, _dot(turned, q)))
-        for i, (term, c) in enumerate(self.acting):
-            first = sum(t.columns.shape[1] for t, _ in self.acting[:i])
-            last = first + term.columns.shape[1]
-            d = term.stiffness_derivative(s, self.point.terms[c])
+                for term, c, first, last in self._acting_columns():
+                    slope = term.stiffness_slope(s, self.point.terms[c], self.change, j)
+                    if slope is not None:
+                        jac[j] -= _across(np.moveaxis(z_out[first:last], 0, 1), _across(slope, z_in[first:last]))
+        for term, c, first, last in self._acting_columns():
+            d = term.stiffness_derivative(s, self.point.terms[c], self.change)
             for k in range(term.n):
                 assert z_in is not None
                 assert z_out is not None
@@ -602,7 +625,7 @@ def sweep(
         return np.stack([engine.response(at(p), terms, s).value for p in starts])
     one = _Evaluation(engine, at(np.zeros(term.n)), terms, s)
     x, h, z, gw = one.ingredients(k)
-    g = np.array([term.stiffness(s, p) for p in starts])  # (n, k, k, f)
+    g = engine.grid(term, starts, s)  # (n, k, k, f)
     if k == 1:
         factor = -g[:, 0, 0] / (1 + gw[0, 0] * g[:, 0, 0])
         change = factor[:, None, None, :] * (h[:, 0][:, None, :] * z[0][None])[None]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
-from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist
+from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, thin
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
@@ -84,26 +84,44 @@ def data_of(frf: Frf, scatter: Scatter) -> Data:
     return Data(s, frf.value, np.sqrt(frf.variance)).with_floor(scatter.floor)
 
 
-def down_the_ladder(
-    engine: Engine, ladder: Sequence[Data], data: Data, terms: Sequence[Term], scatter: Scatter, x: NDArray
-) -> Fit:
-    """Fit the broadened data from rough to fine, then the lines; the better of that and the direct fit."""
-    rough = x
-    for level in ladder:
-        rough = fit(engine, level, terms, scatter, rough, steps=8, tolerance=1.0).point.vector()
-    return fit(engine, data, terms, scatter, rough, steps=20 if terms else 40)
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What every fit of one selection shares: lines, the same thinned, the same broadened, errors and limits."""
+
+    engine: Engine
+    data: Data
+    coarse: Data
+    ladder: tuple[Data, ...]
+    scatter: Scatter
+    limits: Limits
+
+    def down(self, terms: Sequence[Term], x: NDArray, first: int = 0) -> Fit:
+        """Fit the broadened data from rung `first` to the finest, then the thinned lines."""
+        rough = x
+        for level in self.ladder[first:]:
+            rough = fit(self.engine, level, terms, self.scatter, rough, steps=8, tolerance=1.0).point.vector()
+        return fit(self.engine, self.coarse, terms, self.scatter, rough, steps=20 if terms else 40)
+
+    def refined(self, made: Fit, steps: int = 12) -> Fit:
+        """A fit to the thinned lines carried on to all lines."""
+        if self.coarse is self.data:
+            return made
+        return fit(self.engine, self.data, made.terms, self.scatter, made.point.vector(), steps=steps)
+
+    def priced(self, terms: tuple[Term, ...], made: Fit) -> Candidate:
+        """The fit as a candidate: its objective plus the price of its terms' parameters."""
+        return Candidate(terms, made, made.objective + self.limits.parameter * sum(_count(t) for t in terms))
 
 
-def base_fit(
-    engine: Engine, ladder: Sequence[Data], data: Data, scatter: Scatter, held: Sequence[Term], start: Point
-) -> Fit:
+def base_fit(task: Task, held: Sequence[Term], start: Point) -> Fit:
     """The structure as it is, its parameters, damping and ordinary errors fitted."""
     x = start.vector()
-    found = [down_the_ladder(engine, ladder[i:], data, held, scatter, x) for i in range(len(ladder) + 1)]
+    found = [task.down(held, x, first) for first in range(len(task.ladder) + 1)]
     best = min(found, key=lambda f: f.objective)
     typical = np.full_like(best.point.log_zeta, np.median(best.point.log_zeta))
-    again = fit(engine, data, held, scatter, replace(best.point, log_zeta=typical).vector(), steps=40)
-    return min(best, again, key=lambda f: f.objective)
+    x = replace(best.point, log_zeta=typical).vector()
+    again = fit(task.engine, task.coarse, held, task.scatter, x, steps=40)
+    return task.refined(min(best, again, key=lambda f: f.objective), steps=40)
 
 
 LOOSE = Scatter(
@@ -112,10 +130,10 @@ LOOSE = Scatter(
 """Errors so large that only what no mode can follow is left: how much noise FRFs hold whose noise nobody measured."""
 
 
-def with_noise_found(engine: Engine, data: Data, ladder: Sequence[Data], held: Sequence[Term], start: Point) -> Data:
+def with_noise_found(task: Task, held: Sequence[Term], start: Point) -> Data:
     """The data with `sigma` raised to what the structure's modes leave when they may have any frequency and shape."""
-    made = base_fit(engine, ladder, data, LOOSE, held, start)
-    return replace(data, sigma=data.sigma * np.sqrt(dispersion(made, data)))
+    made = base_fit(replace(task, scatter=LOOSE), held, start)
+    return replace(task.data, sigma=task.data.sigma * np.sqrt(dispersion(made, task.data)))
 
 
 def select(
@@ -143,26 +161,28 @@ def select(
     data = data_of(choose_lines(frf), scatter)
     held = tuple(t for t, _ in initial)
     start = engine.start(held, np.concatenate([np.empty(0), *(p for _, p in initial)]))
-    ladder = [broaden(engine, data, start, held, k) for k in LADDER]
+    ladder = tuple(broaden(engine, data, start, held, k) for k in LADDER)
+    task = Task(engine, data, thin(data), ladder, scatter, limits)
     if not measured_noise:
         progress("estimating the noise")
-        data = with_noise_found(engine, data, ladder, held, start)
+        data = with_noise_found(task, held, start)
+        task = replace(task, data=data, coarse=thin(data))
     progress("fitting the model as it is")
-    base = base_fit(engine, ladder, data, scatter, held, start)
+    base = base_fit(task, held, start)
     chain = [Candidate(held, base, base.objective)]
     stages: list[tuple[Candidate, ...]] = []
     law: Candidate | None = None
     gains: dict[Place, float] = {}
     for stage in range(depth):
         progress(f"searching the catalogue for mechanism {stage + 1}")
-        found = _stage(engine, ladder, data, terms, scatter, limits, chain[-1], width)
+        found = _stage(task, terms, chain[-1], width)
         if not found:
             break
         stages.append(tuple(found))
         if stage == 0:
-            law = _general(engine, ladder, data, general, scatter, limits, chain[0])
-            tried = [*found, *([law] if law else [])]
-            for c in tried:
+            laws = _stage(task, general, chain[0], 4) if general else []
+            law = laws[0] if laws else None
+            for c in [*found, *laws[:1]]:
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.fit.objective)
         best = _simplest(found, limits)
@@ -183,46 +203,43 @@ def _simplest(found: Sequence[Candidate], limits: Limits) -> Candidate:
     return min(ties, key=lambda c: (c.last.n, c.cost))
 
 
-def _try(
-    engine: Engine, ladder: Sequence[Data], data: Data, lead: Lead, scatter: Scatter, limits: Limits,
-    before: Candidate, *, rough: bool,
-) -> Candidate:  # fmt: skip
+def _try(task: Task, lead: Lead, before: Candidate, first: int | None = None) -> Candidate:
+    """Fit of the model before with the lead's term, on the thinned lines; down the ladder from rung `first`."""
     terms = (*before.terms, lead.term)
-    old = before.fit.point if not rough or before.terms or len(ladder) < len(LADDER) else engine.start()
-    point = replace(old, terms=np.concatenate([old.terms, lead.start]))
-    made = down_the_ladder(engine, ladder if rough else (), data, terms, scatter, point.vector())
-    price = limits.parameter * sum(_count(t) for t in terms)
-    return Candidate(terms, made, made.objective + price)
+    nominal = first == 0 and not before.terms
+    old = task.engine.start() if nominal else before.fit.point
+    x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
+    return task.priced(terms, task.down(terms, x, len(task.ladder) if first is None else first))
 
 
 def _count(term: Term) -> int:
     return max(term.n, 1)
 
 
-def _stage(
-    engine: Engine, ladder: Sequence[Data], data: Data, terms: Sequence[Term], scatter: Scatter, limits: Limits,
-    before: Candidate, width: int,
-) -> list[Candidate]:  # fmt: skip
+def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> list[Candidate]:
+    """The best candidates with one more term, best first: leads of both scores, fitted, raced, and fitted finely."""
+    engine, scatter = task.engine, task.scatter
     x = before.fit.point.vector()
     nominal = x if before.terms else engine.start().vector()
-    fine = shortlist(direction_score(engine, data, scatter, terms, x, before.terms), width)
-    rough = shortlist(grid_score(engine, ladder[0], scatter, terms, nominal, before.terms), width)
-    found = [_try(engine, ladder, data, lead, scatter, limits, before, rough=False) for lead in fine]
-    found += [_try(engine, ladder, data, _faint(lead), scatter, limits, before, rough=False) for lead in fine[:5]]
-    found += [_try(engine, ladder, data, lead, scatter, limits, before, rough=True) for lead in rough]
+    fine = shortlist(direction_score(engine, task.coarse, scatter, terms, x, before.terms), width)
+    rough = shortlist(grid_score(engine, task.ladder[0], scatter, terms, nominal, before.terms), width)
+    found = [_try(task, lead, before) for lead in fine]
+    found += [_try(task, _faint(lead), before) for lead in fine[:5]]
+    found += [_try(task, lead, before, 0) for lead in rough]
     if found:
         winner = min(found, key=lambda c: c.cost)
         done = {id(c.last) for c in found if c.cost < before.cost}
-        found += _elsewhere(engine, data, terms, scatter, limits, before, winner, done)
+        found += _elsewhere(task, terms, before, winner, done)
         second = min(found, key=lambda c: c.cost)
-        found += _again(engine, ladder, data, terms, scatter, limits, before, second, done)
+        found += _again(task, terms, before, second, done)
     found = [c for c in found if not _shadows(engine, c)]
     best: dict[int, Candidate] = {}
     for c in found:
         key = id(c.last)
         if key not in best or c.cost < best[key].cost:
             best[key] = c
-    return sorted(best.values(), key=lambda c: c.cost)
+    ahead = sorted(best.values(), key=lambda c: c.cost)[: width + 1]
+    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
 def _shadows(engine: Engine, c: Candidate) -> bool:
@@ -248,9 +265,8 @@ def _faint(lead: Lead) -> Lead:
 
 
 def _elsewhere(
-    engine: Engine, data: Data, terms: Sequence[Term], scatter: Scatter, limits: Limits, before: Candidate,
-    winner: Candidate, done: set[int], n: int = 4,
-) -> list[Candidate]:  # fmt: skip
+    task: Task, terms: Sequence[Term], before: Candidate, winner: Candidate, done: set[int], n: int = 4
+) -> list[Candidate]:
     """The winner's mechanism at the places where it was not tried, from the winner's parameters: its true rivals."""
     kin = [
         t for t in terms if t.mechanism.id == winner.last.mechanism.id and id(t) not in done and t.n == winner.last.n
@@ -264,27 +280,24 @@ def _elsewhere(
         starts = np.array([[f * scale * p[0], *p[1:]] for f in (0.25, 0.5, 1.0, 2.0)] + [[p[0], *p[1:]]])
         low, high = [q.lower for q in t.parameters], [q.upper for q in t.parameters]
         sized.append(replace(t, starts=np.clip(starts, low, high)))
-    point = winner.fit.point
-    x = replace(point, terms=point.terms[: -winner.last.n]).vector()
-    leads = shortlist(grid_score(engine, data, scatter, sized, x, before.terms), n)
+    origin = winner_base(before, winner)
+    leads = shortlist(
+        grid_score(task.engine, task.coarse, task.scatter, sized, origin.fit.point.vector(), before.terms), n
+    )
     own = {(str(t.place), t.variant): t for t in kin}
     again = [Lead(own[str(lead.term.place), lead.term.variant], lead.start, lead.gain) for lead in leads]
-    return [_try(engine, (), data, lead, scatter, limits, winner_base(before, winner), rough=False) for lead in again]
+    return [_try(task, lead, origin) for lead in again]
 
 
 def _again(
-    engine: Engine, ladder: Sequence[Data], data: Data, terms: Sequence[Term], scatter: Scatter, limits: Limits,
-    before: Candidate, winner: Candidate, done: set[int], n: int = 5,
-) -> list[Candidate]:  # fmt: skip
+    task: Task, terms: Sequence[Term], before: Candidate, winner: Candidate, done: set[int], n: int = 5
+) -> list[Candidate]:
     """Every other term scored once more where the winner has put the parameters."""
     others = [t for t in terms if id(t) not in done and id(t) != id(winner.last)]
     origin = winner_base(before, winner)
-    leads = grid_score(engine, ladder[1], scatter, others, origin.fit.point.vector(), before.terms)
+    leads = grid_score(task.engine, task.ladder[1], task.scatter, others, origin.fit.point.vector(), before.terms)
     leads = sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n))
-    out = []
-    for lead in _one_each(leads)[:n]:
-        out.append(_try(engine, ladder[2:], data, lead, scatter, limits, origin, rough=True))
-    return out
+    return [_try(task, lead, origin, 2) for lead in _one_each(leads)[:n]]
 
 
 def _one_each(leads: Sequence[Lead]) -> list[Lead]:
@@ -302,16 +315,5 @@ def _one_each(leads: Sequence[Lead]) -> list[Lead]:
 def winner_base(before: Candidate, winner: Candidate) -> Candidate:
     """The model before, at the parameters and ordinary errors that the winner found."""
     point = winner.fit.point
-    point = replace(point, terms=point.terms[: -winner.last.n])
+    point = replace(point, terms=point.terms[: -winner.last.n] if winner.last.n else point.terms)
     return Candidate(before.terms, replace(winner.fit, point=point), before.cost)
-
-
-def _general(
-    engine: Engine, ladder: Sequence[Data], data: Data, general: Sequence[Term], scatter: Scatter, limits: Limits,
-    before: Candidate,
-) -> Candidate | None:  # fmt: skip
-    """The general law that leaves least, tried at the places of the best scores."""
-    if not general:
-        return None
-    laws = _stage(engine, ladder, data, general, scatter, limits, before, 4)
-    return laws[0] if laws else None

@@ -8,7 +8,7 @@ exerts exactly nothing, so models nest and before and after compare fairly.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -50,6 +50,18 @@ class Group:
     first: int
     """Number of the law's first parameter among the term's."""
 
+    gain: NDArray[np.float64] | None = None
+    """Relative change of the model's stiffness there with each parameter of the structure, (n_theta,)."""
+
+    offset: NDArray[np.float64] | None = None
+    """Motion of the columns with a unit motion of the base, beyond what wᵀr gives, (k,)."""
+
+    def law_at(self, change: NDArray | None) -> Law:
+        """The law where the structure's parameters are `change` away from nominal."""
+        if self.gain is None or change is None or not len(self.gain):
+            return self.law
+        return self.law.at(1.0 + self.gain @ change)
+
 
 @dataclass(frozen=True, eq=False)
 class Term:
@@ -77,29 +89,41 @@ class Term:
         """All groups' columns side by side, shape (n_coordinates, k)."""
         return np.hstack([g.columns for g in self.groups])
 
-    def stiffness(self, s: NDArray, p: NDArray) -> NDArray[np.complex128]:
-        """Dynamic stiffness between the columns, shape (k, k, n_f)."""
+    def stiffness(self, s: NDArray, p: NDArray, change: NDArray | None = None) -> NDArray[np.complex128]:
+        """Dynamic stiffness between the columns, shape (k, k, n_f), `change` of the structure's parameters given."""
         out = np.zeros((self.width, self.width, s.size), complex)
         at = 0
         for g in self.groups:
             width = g.columns.shape[1]
-            out[at : at + width, at : at + width] = _spread(
-                g.law.value(s, p[g.first : g.first + len(g.law.names)]), width
-            )
+            law = g.law_at(change)
+            out[at : at + width, at : at + width] = _spread(law.value(s, p[g.first : g.first + len(law.names)]), width)
             at += width
         return out
 
-    def stiffness_derivative(self, s: NDArray, p: NDArray) -> NDArray[np.complex128]:
+    def stiffness_derivative(self, s: NDArray, p: NDArray, change: NDArray | None = None) -> NDArray[np.complex128]:
         """Derivative of `stiffness` to each parameter, shape (n_parameters, k, k, n_f)."""
         out = np.zeros((self.n, self.width, self.width, s.size), complex)
         at = 0
         for g in self.groups:
             width = g.columns.shape[1]
-            d = g.law.derivative(s, p[g.first : g.first + len(g.law.names)])
+            d = g.law_at(change).derivative(s, p[g.first : g.first + len(g.law.names)])
             for i in range(d.shape[0]):
                 out[g.first + i, at : at + width, at : at + width] += _spread(d[i], width)
             at += width
         return out
+
+    def stiffness_slope(self, s: NDArray, p: NDArray, change: NDArray, j: int) -> NDArray[np.complex128] | None:
+        """Derivative of `stiffness` to the structure's parameter j, (k, k, n_f); None where it is zero."""
+        if not any(g.gain is not None and len(g.gain) and g.gain[j] for g in self.groups):
+            return None
+        reach = 1e-5 / max(abs(g.gain[j]) for g in self.groups if g.gain is not None)
+        step = reach * np.eye(len(change))[j]
+        return (self.stiffness(s, p, change + step) - self.stiffness(s, p, change - step)) / (2 * reach)
+
+    @property
+    def offset(self) -> NDArray[np.float64]:
+        """Motion of the columns with the base beyond their own, (k,)."""
+        return np.concatenate([np.zeros(g.columns.shape[1]) if g.offset is None else g.offset for g in self.groups])
 
     @property
     def width(self) -> int:
@@ -153,6 +177,23 @@ class ChannelMechanism(Mechanism):
 
 
 @dataclass(frozen=True, eq=False)
+class Held:
+    """The motions that a support holds: directions, coupling to the free coordinates, own stiffness and mass.
+
+    `stiffness` and `mass`, (n, d), are K_fs and M_fs; `own_stiffness` and `own_mass`, (d, d), K_ss and M_ss; `gain`,
+    (n_theta,), the relative change of the stiffness with each parameter; `rigid`, (d,), what base motion moves.
+    """
+
+    axes: tuple[str, ...]
+    stiffness: NDArray[np.float64]
+    mass: NDArray[np.float64]
+    own_stiffness: NDArray[np.float64]
+    own_mass: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    rigid: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class Site:
     """What mechanisms need to know of the structure: coordinates, stiffness, geometry, where they may act.
 
@@ -179,6 +220,10 @@ class Site:
         Influence of base motion.
     drive : tuple of str
         Degrees of freedom where force is put in.
+    slopes : tuple of ndarray, shape (n, n)
+        Derivatives of the stiffness to the structure's parameters.
+    held : dict
+        Support -> `Held`, the motions that it holds.
     """
 
     mass: NDArray
@@ -194,6 +239,8 @@ class Site:
     shape: NDArray
     rigid: NDArray | None
     drive: tuple[str, ...]
+    slopes: tuple[NDArray, ...] = ()
+    held: Mapping[str, Held] = field(default_factory=dict)
 
     def rows(self, node: str, directions: tuple[str, ...]) -> NDArray[np.float64]:
         """Columns (n, k) of the node's degrees of freedom in `directions` that exist."""
@@ -238,6 +285,7 @@ def scalar_term(
     positive: bool = True,
     lower: float | None = None,
     variant: str = "",
+    gain: NDArray | None = None,
 ) -> Term | None:
     """Term of a law with one parameter acting on `columns`; None if no mode in the band moves there."""
     if columns.size == 0:
@@ -248,4 +296,4 @@ def scalar_term(
     parameter = amount(law.names[0], law.units[0], scale, positive=positive, lower=lower)
     starts = scale * signed(SIZES, positive=positive)[:, None]
     starts = starts[(starts[:, 0] > parameter.lower) | (parameter.lower == 0)]
-    return Term(mechanism, place, (parameter,), starts, (Group(law, columns, 0),), variant)
+    return Term(mechanism, place, (parameter,), starts, (Group(law, columns, 0, gain),), variant)

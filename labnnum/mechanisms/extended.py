@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labnnum.errors import ConfigError, ModelError
 from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Site, Term
-from labnnum.mechanisms.geometry import touching
+from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel
 from labnnum.structures.base import Matrices, Structure
@@ -102,7 +102,8 @@ class ExtendedStructure(Structure):
                 blocks = self._extra_mode(blocks, p)
             for group in added.term.groups:
                 q = p[group.first : group.first + len(group.law.names)]
-                blocks = _attach(blocks, group.law.local(q), group.columns, group.law.n_internal)
+                law = group.law_at(own - self.inner.nominal)
+                blocks = _attach(blocks, law.local(q), group.columns, law.n_internal, joint=group.law.joint)
         return Matrices(*blocks)
 
     def _trimmed(self, blocks: list[NDArray]) -> None:
@@ -126,7 +127,7 @@ class ExtendedStructure(Structure):
         """Each mechanism with the number of coordinates that it appends."""
         out = []
         for a in self.added:
-            n = sum(g.law.n_internal * g.columns.shape[1] for g in a.term.groups)
+            n = sum(g.law.n_internal * (1 if g.law.joint else g.columns.shape[1]) for g in a.term.groups)
             out.append((a, n + (1 if a.term.data.get("extra_mode") else 0)))
         return out
 
@@ -154,6 +155,9 @@ class ExtendedStructure(Structure):
         tail: list[Any] = []
         for added, _n in self._internal():
             for g in added.term.groups:
+                if g.law.joint:
+                    tail += [0.0] * g.law.n_internal
+                    continue
                 carried = g.columns.T @ inner[: g.columns.shape[0]] if g.law.inertial else np.zeros(g.columns.shape[1])
                 tail += [v for v in carried for _ in range(g.law.n_internal)]
             if added.term.data.get("extra_mode"):
@@ -195,13 +199,16 @@ def _factor(added: Added, channel: Channel, frequency: NDArray, p: NDArray) -> N
     return -one if added.term.variant == "inverted" else one
 
 
-def _attach(blocks: list[NDArray], local: Sequence[NDArray], columns: NDArray, n_internal: int) -> list[NDArray]:
-    """Add a law's local matrices at each of its columns, with its own internal coordinates a column."""
-    if local[0].shape[0] == columns.shape[1] and not n_internal and columns.shape[1] > 1 and local[2].shape[0] > 1:
-        return [
-            b + np.pad(columns @ m @ columns.T, (0, b.shape[0] - columns.shape[0]))
-            for b, m in zip(blocks, local, strict=True)
-        ]
+def _attach(
+    blocks: list[NDArray], local: Sequence[NDArray], columns: NDArray, n_internal: int, *, joint: bool = False
+) -> list[NDArray]:
+    """Add a law's local matrices at each of its columns, with its own internal coordinates a column, or at all."""
+    if joint:
+        n, k = blocks[0].shape[0], columns.shape[1]
+        spread = np.zeros((n + n_internal, k + n_internal))
+        spread[: columns.shape[0], :k] = columns
+        spread[n:, k:] = np.eye(n_internal)
+        return [np.pad(b, (0, n_internal)) + spread @ m @ spread.T for b, m in zip(blocks, local, strict=True)]
     for k in range(columns.shape[1]):
         n = blocks[0].shape[0]
         spread = np.zeros((n + n_internal, 1 + n_internal))
@@ -231,6 +238,7 @@ def site_of(
     site = Site(
         mass, stiffness, dofs, dict(structure.nodes), nodes, structure.elements, structure.supports, tuple(channels),
         n_outputs, np.sqrt(value[elastic]), shape[:, elastic], rigid, tuple(drive),
+        tuple(np.real(d.K) for d in structure.derivatives(theta)), held_motions(structure),
     )  # fmt: skip
     return site if structure.elements else replace(site, elements=touching(site))
 

@@ -6,10 +6,13 @@ element's; what the block lacks follows from the element exerting nothing in a r
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Site
+from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Held, Site
+from labnnum.structures.base import Structure
 
 AXES = TRANSLATIONS + ROTATIONS
 
@@ -64,9 +67,17 @@ def element_stiffness(site: Site, a: str, b: str) -> tuple[list[int], NDArray[np
     The diagonal blocks follow from K_e R = 0 for the rigid motions R of its two nodes. For an element to a
     support, whose coordinates are gone, the free end's block is what its other elements leave.
     """
+    found = _element(site, a, b)
+    return None if found is None else (found[0], _semidefinite(found[1]), found[2])
+
+
+def _element(
+    site: Site, a: str, b: str, pairs: tuple[tuple[str, str], ...] | None = None
+) -> tuple[list[int], NDArray[np.float64], list[str]] | None:
+    """As `element_stiffness`, for any matrix that has the pattern of a stiffness; `pairs` are the nodes it couples."""
     both = coupling(site, a, b)
     if both is None:
-        return _support_element(site, a, b)
+        return _support_element(site, a, b, pairs or touching(site))
     ia, ib, kab = both
     da, db = list(dof_rows(site, a)), list(dof_rows(site, b))
     if da != db:
@@ -75,10 +86,12 @@ def element_stiffness(site: Site, a: str, b: str) -> tuple[list[int], NDArray[np
     kaa = -kab @ transfer
     kbb = -kab.T @ np.linalg.inv(transfer)
     k = np.block([[kaa, kab], [kab.T, kbb]])
-    return ia + ib, _semidefinite((k + k.T) / 2), da + db
+    return ia + ib, (k + k.T) / 2, da + db
 
 
-def _support_element(site: Site, a: str, b: str) -> tuple[list[int], NDArray[np.float64], list[str]] | None:
+def _support_element(
+    site: Site, a: str, b: str, pairs: tuple[tuple[str, str], ...]
+) -> tuple[list[int], NDArray[np.float64], list[str]] | None:
     if b in site.supports and dof_rows(site, a):
         a, b = b, a
     rows = dof_rows(site, b)
@@ -86,14 +99,14 @@ def _support_element(site: Site, a: str, b: str) -> tuple[list[int], NDArray[np.
         return None
     index = list(rows.values())
     left = site.stiffness[np.ix_(index, index)].copy()
-    for one, other in touching(site):
+    for one, other in pairs:
         if b in (one, other):
-            found = element_stiffness(site, one, other)
+            found = _element(site, one, other, pairs)
             if found is None:
-                return None
+                continue
             at = [found[0].index(i) for i in index]
             left -= found[1][np.ix_(at, at)]
-    return index, _semidefinite(left), list(rows)
+    return index, left, list(rows)
 
 
 def _semidefinite(k: NDArray) -> NDArray[np.float64]:
@@ -110,39 +123,42 @@ def factors(k: NDArray) -> NDArray[np.float64]:
     return vector[:, keep] * np.sqrt(value[keep])
 
 
-def support_columns(site: Site, support: str, axis: str) -> tuple[NDArray[np.float64], float] | None:
-    """Force pattern K_fs, shape (n,), and stiffness K_ss of a unit motion of a clamped support along `axis`.
-
-    K_fs is minus the rows of K R that do not vanish, R the rigid motion about the support; rows that belong to
-    another support lie nearer to it and are left to it.
-    """
-    here = _xyz(site, support)
-    n = site.stiffness.shape[0]
-    rigid = np.zeros(n)
-    owner = np.full(n, "", object)
-    for dof in site.dofs:
-        node, direction = dof.split(":")
-        row = dof_rows(site, node).get(direction)
-        if row is None:
+def held_motions(structure: Structure) -> dict[str, Held]:
+    """Support -> the motions that it holds, from the structure with that support let go, at nominal parameters."""
+    out: dict[str, Held] = {}
+    theta = structure.nominal
+    n = len(structure.matrices(theta).M)
+    for support in structure.supports:
+        free = structure.released(support)
+        if free is None:
             continue
-        rigid[row] = rigid_transfer(here, _xyz(site, node), [direction], [axis])[0, 0]
-        owner[row] = min(site.supports, key=lambda s: float(np.linalg.norm(_xyz(site, s) - _xyz(site, node))))
-    load = site.stiffness @ rigid
-    load[np.abs(load) < 1e-7 * np.abs(site.stiffness).dot(np.abs(rigid)).max(initial=1e-300)] = 0.0
-    load[owner != support] = 0.0
-    stiffness = float(load @ rigid)
-    if stiffness <= 0:
-        return None
-    return load, stiffness
+        extra = [d for d in free.dofs if d.partition(":")[0] == support and d not in structure.dofs]
+        rows = [int(np.argmax(np.abs(np.real(free.participation(d, theta))))) for d in extra]
+        m = free.matrices(theta)
+        mass, stiffness = np.real(m.M), np.real(m.K)
+        rest = np.setdiff1d(np.arange(len(mass)), rows)
+        if not rows or rest.size != n:
+            continue
+        k = stiffness[np.ix_(rest, rows)]
+        size = max(float(np.sum(k * k)), 1e-300)
+        gain = [float(np.sum(np.real(d.K)[np.ix_(rest, rows)] * k)) / size for d in free.derivatives(theta)]
+        moved = np.real(free.rigid(theta))[rows] if structure.base else np.zeros(len(rows))
+        inner = np.ix_(rows, rows)
+        out[support] = Held(
+            tuple(d.partition(":")[2] for d in extra), k, mass[np.ix_(rest, rows)], stiffness[inner], mass[inner],
+            np.array(gain), moved,
+        )  # fmt: skip
+    return out
 
 
-def cross_stiffness(site: Site, support: str, axis: str, load: NDArray) -> float:
-    """Force along `axis` that the clamp needs to hold a unit of another of its motions, whose loads K_fs are `load`."""
-    here = _xyz(site, support)
-    turned = np.zeros(site.stiffness.shape[0])
-    for dof in site.dofs:
-        node, direction = dof.split(":")
-        row = dof_rows(site, node).get(direction)
-        if row is not None:
-            turned[row] = rigid_transfer(here, _xyz(site, node), [direction], [axis])[0, 0]
-    return float(load @ turned)
+def element_gain(site: Site, a: str, b: str) -> NDArray[np.float64]:
+    """Relative change of the stiffness of the element a-b with each parameter of the structure, (n_theta,)."""
+    found = _element(site, a, b)
+    if found is None:
+        return np.zeros(len(site.slopes))
+    k = found[1]
+    out = []
+    for slope in site.slopes:
+        changed = _element(replace(site, stiffness=slope), a, b, touching(site))
+        out.append(0.0 if changed is None else float(np.sum(changed[1] * k) / np.sum(k * k)))
+    return np.array(out)

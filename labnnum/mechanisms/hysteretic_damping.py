@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from labnnum.mechanisms.base import Mechanism, Place, Site, Term, scalar_term
-from labnnum.mechanisms.geometry import element_stiffness, factors
+from labnnum.mechanisms.geometry import element_gain, element_stiffness, factors
 from labnnum.mechanisms.laws import LossySpring
 
 
@@ -40,6 +40,6 @@ class HystereticDamping(Mechanism):
             index, k, _ = found
             columns = np.zeros((site.stiffness.shape[0], factors(k).shape[1]))
             columns[index] = factors(k)
-            term = scalar_term(self, site, Place("element", a, b), law, columns)
+            term = scalar_term(self, site, Place("element", a, b), law, columns, gain=element_gain(site, a, b))
             if term is not None:
                 yield term

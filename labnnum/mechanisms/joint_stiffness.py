@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from labnnum.mechanisms.base import ROTATIONS, Mechanism, Place, Site, Term, scalar_term
-from labnnum.mechanisms.geometry import element_stiffness, factors
+from labnnum.mechanisms.geometry import element_gain, element_stiffness, factors
 from labnnum.mechanisms.laws import Compliance, Spring
 
 
@@ -37,6 +37,7 @@ class JointStiffness(Mechanism):
             n = site.stiffness.shape[0]
             whole = np.zeros((n, factors(k).shape[1]))
             whole[index] = factors(k)
+            gain = element_gain(site, a, b)
             term = scalar_term(
                 self,
                 site,
@@ -46,13 +47,20 @@ class JointStiffness(Mechanism):
                 positive=False,
                 lower=-0.98,
                 variant="element",
+                gain=gain,
             )
             if term is not None:
                 yield term
-            yield from self._hinges(site, place, index, k, directions)
+            yield from self._hinges(site, place, index, k, directions, gain)
 
     def _hinges(
-        self, site: Site, place: Place, index: list[int], k: np.ndarray, directions: list[str]
+        self,
+        site: Site,
+        place: Place,
+        index: list[int],
+        k: np.ndarray,
+        directions: list[str],
+        gain: np.ndarray,
     ) -> Iterable[Term]:
         half = len(directions) // 2
         for axis in ROTATIONS:
@@ -71,7 +79,7 @@ class JointStiffness(Mechanism):
                 column = np.zeros((site.stiffness.shape[0], 1))
                 column[index, 0] = load / kappa
                 law = Compliance(kappa, ("compliance",), ("rad/(N*m)",))
-                term = scalar_term(self, site, place, law, column, variant=variant)
+                term = scalar_term(self, site, place, law, column, variant=variant, gain=gain)
                 if term is not None:
                     yield term
 

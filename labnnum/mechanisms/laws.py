@@ -8,8 +8,8 @@ structure are the same physics.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import final
+from dataclasses import dataclass, replace
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,56 @@ class Law(ABC):
     def n_internal(self) -> int:
         """Internal coordinates that `local` adds."""
         return 0
+
+    @property
+    def joint(self) -> bool:
+        """Whether the law couples its columns (a matrix law), rather than acting on each alike."""
+        return False
+
+    def at(self, factor: Any) -> Law:
+        """The law in a model whose stiffness there is `factor` times the nominal one, which the columns hold."""
+        return Scaled(self, factor)
+
+
+@dataclass(frozen=True)
+class Scaled(Law):
+    """`factor` times a law."""
+
+    law: Law
+    factor: Any
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The law's."""
+        return self.law.names
+
+    @property
+    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The law's."""
+        return self.law.units
+
+    @property
+    def inertial(self) -> bool:  # type: ignore[override]
+        """The law's."""
+        return self.law.inertial
+
+    def value(self, s, p):
+        """Factor times g(s)."""
+        return self.factor * self.law.value(s, p)
+
+    def derivative(self, s, p):
+        """Factor times dg/dp."""
+        return self.factor * self.law.derivative(s, p)
+
+    def local(self, p):
+        """Factor times the law's matrices."""
+        m, c, k, d = self.law.local(p)
+        return self.factor * m, self.factor * c, self.factor * k, self.factor * d
+
+    @property
+    def n_internal(self) -> int:
+        """The law's."""
+        return self.law.n_internal
 
 
 def _single(kind: int, value: complex) -> Local:
@@ -249,35 +299,79 @@ class Compliance(Law):
         k = self.stiffness
         return _single(2, -p[0] * k**2 / (1 + p[0] * k))
 
+    def at(self, factor):
+        """The series stiffness scales."""
+        return replace(self, stiffness=self.stiffness * factor)
+
 
 @final
 @dataclass(frozen=True, eq=False)
-class CompliancePair(Law):
-    """Two compliances of one clamp, c1 and c2, in series with what the model has rigid: G = -C (I + K_ss C)^-1.
+class Release(Law):
+    """Held motions q of a support given compliances: Z_ff - Z_fs E Z_sf, E = C (I + Z_ss C)^-1, Z = K + s^2 M.
 
-    `stiffness`, (2, 2), is K_ss; the columns that it acts on are the loads K_fs per unit motion of the clamp.
+    `stiffness` and `mass`, (d, d), are K_ss and M_ss of the d motions. The columns that it acts on are K_fs and then
+    M_fs, (n, 2 d); `factor` scales the stiffness among them. Source: dynamic condensation of q from the free
+    structure's equations, with C^-1 between q and the base.
     """
 
     stiffness: NDArray[np.float64]
-    names: tuple[str, ...] = ("compliance_1", "compliance_2")
-    units: tuple[str, ...] = ("m/N", "rad/(N*m)")
+    mass: NDArray[np.float64]
+    names: tuple[str, ...] = ("compliance",)
+    units: tuple[str, ...] = ("m/N",)
+    factor: Any = 1.0
+    inertial: bool = True  # type: ignore[misc]
 
-    def matrix(self, p: NDArray) -> NDArray:
-        """G, shape (2, 2)."""
-        c = np.diag(p)
-        return -c @ np.linalg.inv(np.eye(2) + self.stiffness @ c)
+    def _flexibility(self, s: NDArray, p: NDArray) -> tuple[NDArray, NDArray]:
+        """E and (I + C Z_ss)^-1, each (n_f, d, d)."""
+        z = self.factor * self.stiffness + (s**2)[:, None, None] * self.mass
+        c = np.diag(np.asarray(p))
+        one = np.eye(len(c))
+        left = np.linalg.inv(one + c @ z)
+        return left @ c, left
+
+    def _spread(self, s: NDArray, e: NDArray) -> NDArray:
+        """-[K M] E [K M]' in the columns, with their factors: (n_f, d, d) to (2 d, 2 d, n_f)."""
+        x = (s**2)[:, None, None]
+        a = self.factor
+        whole = np.block([[a * a * e, a * x * e], [a * x * e, x * x * e]])
+        return -np.moveaxis(whole, 0, 2)
 
     def value(self, s: NDArray, p: NDArray) -> NDArray:
-        """G at every line, shape (2, 2, n_f)."""
-        return np.broadcast_to(self.matrix(p)[:, :, None], (2, 2, s.size)).astype(complex)
+        """G at every line, shape (2 d, 2 d, n_f)."""
+        return self._spread(s, self._flexibility(s, p)[0])
 
     def derivative(self, s: NDArray, p: NDArray) -> NDArray:
-        """dG/dc1, dG/dc2, shape (2, 2, 2, n_f)."""
-        left = np.linalg.inv(np.eye(2) + np.diag(p) @ self.stiffness)
-        out = np.stack([-np.outer(left[:, i], left[:, i]) for i in range(2)])
-        return np.broadcast_to(out[..., None], (2, 2, 2, s.size)).astype(complex)
+        """dG/dc_i, shape (d, 2 d, 2 d, n_f)."""
+        left = self._flexibility(s, p)[1]
+        slopes = [np.einsum("fa,fb->fab", left[:, :, i], left[:, :, i]) for i in range(len(self.stiffness))]
+        return np.stack([self._spread(s, e) for e in slopes])
 
     def local(self, p: NDArray) -> Local:
-        """K = G over the two columns."""
-        zero = np.zeros((2, 2))
-        return zero, zero, self.matrix(p), zero
+        """The released motions as internal coordinates; a compliance of zero is held by a spring stiff beyond doubt."""
+        d = len(self.stiffness)
+        size = 3 * d
+        mass, stiffness = np.zeros((2, size, size), np.result_type(p, self.factor, float))
+        inner = slice(2 * d, None)
+        for i in range(d):
+            stiffness[i, 2 * d + i] = stiffness[2 * d + i, i] = self.factor
+            mass[d + i, 2 * d + i] = mass[2 * d + i, d + i] = 1.0
+        tiny = 1e-9 / np.diag(self.stiffness)
+        held = np.array([1.0 / c if abs(c) > t else 1.0 / t for c, t in zip(p, tiny, strict=True)])
+        stiffness[inner, inner] = self.factor * self.stiffness + np.diag(held)
+        mass[inner, inner] = self.mass
+        zero = np.zeros_like(mass)
+        return mass, zero, stiffness, zero
+
+    @property
+    def n_internal(self) -> int:
+        """The released motions."""
+        return len(self.stiffness)
+
+    @property
+    def joint(self) -> bool:
+        """It couples its columns."""
+        return True
+
+    def at(self, factor: Any) -> Law:
+        """The stiffness scales, the mass does not."""
+        return replace(self, factor=self.factor * factor)

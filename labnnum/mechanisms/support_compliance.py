@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Group, Mechanism, Place, Site, Term, scalar_term
-from labnnum.mechanisms.geometry import cross_stiffness, dof_rows, support_columns
-from labnnum.mechanisms.laws import Compliance, CompliancePair, Spring
+from labnnum.mechanisms.base import (
+    ROTATIONS,
+    SIZES,
+    TRANSLATIONS,
+    Group,
+    Held,
+    Mechanism,
+    Place,
+    Site,
+    Term,
+    scalar_term,
+)
+from labnnum.mechanisms.geometry import dof_rows
+from labnnum.mechanisms.laws import Release, Spring
 from labnnum.parameters import Parameter
 
 
 @final
 @dataclass(frozen=True)
 class SupportCompliance(Mechanism):
-    """The clamped motion q gets a compliance c: Z -= K_fs c / (1 + c K_ss) K_sf."""
+    """The clamped motion q gets a compliance c: Z -= Z_fs c / (1 + c Z_ss) Z_sf."""
 
     id = "support-compliance"
     title = "clamp that gives"
@@ -28,48 +39,57 @@ class SupportCompliance(Mechanism):
     reference = "Ewins (2000), section 5.7; Rixen (2004)"
 
     def terms(self, site: Site) -> Iterable[Term]:
-        """Each clamped axis of each support, or a changed stiffness where the support is elastic already."""
+        """Each held axis of each support, pairs that load each other, or a changed stiffness where it is elastic."""
         for support in site.supports:
             place = Place("support", support)
-            free = dof_rows(site, support)
-            single: dict[str, tuple[np.ndarray, float, Term]] = {}
-            for axis in TRANSLATIONS + ROTATIONS:
-                turning = axis in ROTATIONS
-                if axis in free:
-                    unit = "N*m/rad" if turning else "N/m"
-                    law = Spring(("stiffness",), (unit,))
-                    term = scalar_term(
-                        self, site, place, law, site.rows(support, (axis,)), positive=False, variant=axis
-                    )
-                else:
-                    found = support_columns(site, support, axis)
-                    if found is None:
-                        continue
-                    load, stiffness = found
-                    unit = "rad/(N*m)" if turning else "m/N"
-                    law = Compliance(stiffness, ("compliance",), (unit,))
-                    term = scalar_term(self, site, place, law, (load / stiffness)[:, None], variant=axis)
+            for axis in dof_rows(site, support):
+                unit = "N*m/rad" if axis in ROTATIONS else "N/m"
+                law = Spring(("stiffness",), (unit,))
+                term = scalar_term(self, site, place, law, site.rows(support, (axis,)), positive=False, variant=axis)
                 if term is not None:
                     yield term
-                    if axis not in free:
-                        single[axis] = (load, stiffness, term)
-            yield from self._pairs(site, place, single)
+            if support in site.held:
+                yield from self._released(site, place, site.held[support])
 
-    def _pairs(self, site: Site, place: Place, single: dict[str, tuple[np.ndarray, float, Term]]) -> Iterable[Term]:
-        """A translation and a rotation that load the same motion give together."""
-        for move in TRANSLATIONS:
-            for turn in ROTATIONS:
-                if move not in single or turn not in single:
-                    continue
-                (load_m, k_m, term_m), (load_t, k_t, term_t) = single[move], single[turn]
-                across = cross_stiffness(site, place.id, turn, load_m)
-                if abs(across) < 0.05 * np.sqrt(k_m * k_t) or across**2 > 0.999 * k_m * k_t:
-                    continue
-                law = CompliancePair(np.array([[k_m, across], [across, k_t]]))
-                parameters = tuple(
-                    Parameter(n, 0.0, 0.0, t.parameters[0].upper, u)
-                    for n, u, t in zip(("compliance", "compliance_turn"), law.units, (term_m, term_t), strict=True)
-                )
-                starts = np.array([[a[0], b[0]] for a in term_m.starts[1:] for b in term_t.starts[1:]])
-                columns = np.stack([load_m, load_t], axis=1)
-                yield Term(self, place, parameters, starts, (Group(law, columns, 0),), f"{move} and {turn}")
+    def _released(self, site: Site, place: Place, held: Held) -> Iterable[Term]:
+        scales = [_scale(site, held, i) for i in range(len(held.axes))]
+        moving = [i for i, scale in enumerate(scales) if np.isfinite(scale)]
+        for i in moving:
+            yield _term(self, place, held, (i,), scales, np.append(SIZES, [3.0, 10.0])[:, None])
+        for i in moving:
+            for j in moving:
+                if held.axes[i] in TRANSLATIONS and held.axes[j] in ROTATIONS and _tied(held, i, j):
+                    sizes = np.array([[a, b] for a in SIZES[1:] for b in SIZES[1:]])
+                    yield _term(self, place, held, (i, j), scales, sizes)
+
+
+def _scale(site: Site, held: Held, i: int) -> float:
+    """Compliance that changes some mode's squared frequency by 100 % at first order, as a first guess."""
+    load = (held.stiffness[:, i] @ site.shape - site.omega**2 * (held.mass[:, i] @ site.shape)) ** 2
+    most = float(np.max(load / site.omega**2, initial=0.0))
+    return 1.0 / most if most > 0 else np.inf
+
+
+def _tied(held: Held, i: int, j: int) -> bool:
+    """Whether two held motions load each other, short of being one."""
+    k = held.own_stiffness
+    return bool(0.05 < abs(k[i, j]) / np.sqrt(k[i, i] * k[j, j]) < 0.9995)
+
+
+def _term(
+    mechanism: Mechanism, place: Place, held: Held, axes: tuple[int, ...], scales: Sequence[float], sizes: np.ndarray
+) -> Term:
+    pick = list(axes)
+    turning = [held.axes[i] in ROTATIONS for i in pick]
+    units = tuple("rad/(N*m)" if turn else "m/N" for turn in turning)
+    names = ("compliance",) if len(pick) == 1 else ("compliance", "compliance_turn")
+    own = np.ix_(pick, pick)
+    law = Release(held.own_stiffness[own], held.own_mass[own], names, units)
+    columns = np.hstack([held.stiffness[:, pick], held.mass[:, pick]])
+    # as in the model itself, base motion loads the free coordinates only
+    offset = np.concatenate([held.own_stiffness[pick] @ held.rigid, np.zeros(len(pick))])
+    scale = np.array([scales[i] for i in pick])
+    parameters = tuple(Parameter(n, 0.0, 0.0, 300.0 * x, u) for n, x, u in zip(names, scale, units, strict=True))
+    group = Group(law, columns, 0, held.gain, offset)
+    variant = " and ".join(held.axes[i] for i in pick)
+    return Term(mechanism, place, parameters, sizes * scale, (group,), variant)

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from labnnum.mechanisms.base import TRANSLATIONS, Group, Mechanism, Place, Site, Term, amount
-from labnnum.mechanisms.geometry import element_stiffness, factors
+from labnnum.mechanisms.geometry import element_gain, element_stiffness, factors
 from labnnum.mechanisms.laws import Maxwell
 from labnnum.parameters import Parameter
 
@@ -36,16 +36,17 @@ class Viscoelastic(Mechanism):
             index, k, _ = found
             columns = np.zeros((site.stiffness.shape[0], factors(k).shape[1]))
             columns[index] = factors(k)
-            yield from self._term(
-                site, Place("element", a, b), Maxwell(("relative_k1", "tau"), ("1", "s")), columns, ""
-            )
+            law, gain = Maxwell(("relative_k1", "tau"), ("1", "s")), element_gain(site, a, b)
+            yield from self._term(site, Place("element", a, b), law, columns, "", gain)
         for node in site.free_nodes:
             for axis in TRANSLATIONS:
                 columns = site.rows(node, (axis,))
                 if columns.size:
                     yield from self._term(site, Place("ground", node), Maxwell(), columns, axis)
 
-    def _term(self, site: Site, place: Place, law: Maxwell, columns: np.ndarray, variant: str) -> Iterable[Term]:
+    def _term(
+        self, site: Site, place: Place, law: Maxwell, columns: np.ndarray, variant: str, gain: np.ndarray | None = None
+    ) -> Iterable[Term]:
         low, high = site.omega.min(), site.omega.max()
         middle = 1.0 / np.sqrt(low * high)
         scale = site.scale(law, columns, np.array([0.0, middle]), 0)
@@ -56,4 +57,4 @@ class Viscoelastic(Mechanism):
         taus = np.geomspace(0.3 / high, 3.0 / low, 5)
         sizes = scale * np.array([0.003, 0.01, 0.03, 0.1, 0.3, 1.0])
         starts = np.array([[k, t] for k in sizes for t in taus])
-        yield Term(self, place, (k1, tau), starts, (Group(law, columns, 0),), variant)
+        yield Term(self, place, (k1, tau), starts, (Group(law, columns, 0, gain),), variant)

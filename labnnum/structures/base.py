@@ -76,6 +76,10 @@ class Structure(ABC):
         """Nodes that are clamped or carried."""
         return ()
 
+    def released(self, node: str) -> Structure | None:
+        """The same structure with the support at `node` let go; None where nothing is held there."""
+        return None
+
     @property
     def base(self) -> str:
         """Direction in which all supports move together under base excitation; empty for force excitation."""

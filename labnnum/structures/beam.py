@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, final
@@ -259,6 +259,12 @@ class Beam(Structure):
     def supports(self) -> tuple[str, ...]:
         """Nodes that are held, or carried by springs."""
         return tuple(dict.fromkeys([*self.supports_at, *(s.node for s in self.springs)]))
+
+    def released(self, node: str) -> Structure | None:
+        """The beam with this end or node free."""
+        if node not in self.supports_at:
+            return None
+        return replace(self, supports_at={n: h for n, h in self.supports_at.items() if n != node})
 
     @cached_property
     def _basis(self) -> NDArray[np.float64] | None:

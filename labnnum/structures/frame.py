@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, final
 
@@ -272,6 +272,12 @@ class Frame(Structure):
     def supports(self) -> tuple[str, ...]:
         """Nodes that are held, or carried by springs to the ground."""
         return tuple(dict.fromkeys([*self.fixed, *(s.node for s in self.springs if not s.to)]))
+
+    def released(self, node: str) -> Structure | None:
+        """The frame with this node free."""
+        if node not in self.fixed:
+            return None
+        return replace(self, fixed={n: ways for n, ways in self.fixed.items() if n != node})
 
     def _span(self, member: Member) -> tuple[float, NDArray[np.float64]]:
         """Length of a member and the rotation from global to local axes, (3, 3)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import final
 
@@ -133,7 +133,7 @@ class MatrixStructure(Structure):
             for p in self.parameters
         )
 
-    @property
+    @cached_property
     def dofs(self) -> tuple[str, ...]:
         """Rows that are left when the clamped nodes are removed."""
         return tuple(self.all_dofs[i] for i in self._kept)
@@ -152,6 +152,12 @@ class MatrixStructure(Structure):
     def supports(self) -> tuple[str, ...]:
         """Clamped nodes, then those that are carried elastically."""
         return tuple(dict.fromkeys([*self.clamped, *self.carried]))
+
+    def released(self, node: str) -> Structure | None:
+        """The structure with this node's rows kept."""
+        if node not in self.clamped:
+            return None
+        return replace(self, clamped=tuple(n for n in self.clamped if n != node))
 
     @cached_property
     def _basis(self) -> NDArray[np.float64] | None:
