@@ -128,3 +128,17 @@ def test_the_nonlinear_suite_holds_every_family_and_only_what_can_stand_together
 def test_a_law_does_not_stand_beside_what_time_marching_lacks():
     with pytest.raises(ConfigError, match="beside a nonlinear law"):
         conceal(1, "chain", ("cubic-stiffness", "viscoelastic"))
+
+
+@pytest.mark.parametrize("excitation", ["multisine", "random", "sweep", "hammer"])
+def test_a_sound_structure_leaves_little_under_any_excitation_and_friction_much(excitation):
+    sound = misfit(conceal(41, "chain", excitation=excitation), marched=True)
+    rubbing = misfit(conceal(41, "chain", "coulomb-friction", 0.8, excitation))
+    assert rubbing > 10 * sound
+
+
+def test_the_referee_sees_the_same_structure_in_runs_as_in_exact_responses():
+    for seed in (41, 42):
+        case = conceal(seed, "chain", "added-mass", 0.6)
+        exact, runs = misfit(case), misfit(case, marched=True)
+        assert 0.25 < runs / exact < 4

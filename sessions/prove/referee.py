@@ -19,7 +19,7 @@ from sessions.prove.truth import excite, fe
 from sessions.prove.truth.bench import sensor_row
 from sessions.prove.truth.channels import transfer_factor
 from sessions.prove.truth.respond import Plant, steady, transfer
-from sessions.prove.truth.session import clean, draw_plan
+from sessions.prove.truth.session import from_rest_to_rest
 from sessions.prove.truth.state import State, plant
 
 TOLERANCE = 0.01
@@ -28,6 +28,9 @@ SHIFTS = (0.08, 0.025, 0.008, 0.0)
 """Added damping of the lines, in parts of their frequency, from stage to stage of the fit: wide valleys first."""
 MOMENTS = 5
 MOST_STEPS = 12
+NEPER = 1.0
+"""By how much a run without noise is faded out over its length."""
+LONGEST = 32768
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,29 +117,33 @@ def misfit(case: Case, marched: bool | None = None) -> float:
 
 
 def _nonlinear_misfit(case: Case) -> float:
-    """The same over three levels of a multisine: what it leaves on excited lines, and distortion between them."""
-    plan = replace(draw_plan(default_rng(1), case.state, "multisine"), repeats=1, keep=1)
-    runs = clean(default_rng(1), case.state, plan)
-    spectra = [np.fft.rfft(run.data[:, -plan.samples :], axis=1) for run in runs]
-    names = case.state.channel_names()
-    drive = np.abs(spectra[-1][0])
-    used = np.flatnonzero(drive > 0.1 * drive.max())
-    used = used[:: max(1, used.size // 240)]
-    s = 2j * np.pi * used * plan.rate / plan.samples
-    model = nominal(case)
-    exact = [_spoilt_ratio(case, names, y, used, s) for y in spectra]
-    sigma = _spread(s.imag, np.mean(exact, axis=0), model.orders)
-    p = _fit(case, model, [plant(case.state)], s.imag, np.mean(exact, axis=0)[:, ::2])
-    wrong = np.mean([np.abs(h - model.response(p, s)) ** 2 for h in exact], axis=0) / sigma**2
-    between = [np.mean(np.abs(y[1:, used + 1]) ** 2 + np.abs(y[1:, used - 1]) ** 2, axis=1) / 2 for y in spectra]
-    level = [np.mean(np.abs(y[1:, used]) ** 2, axis=1) for y in spectra]
-    distorted = np.mean([b / a for a, b in zip(level, between, strict=True)]) / TOLERANCE**2
-    return float(np.mean(wrong[:, 1::2]) + distorted + np.mean(_distortion(case)))
+    """The same on runs without noise under the own excitation, one a level, from rest to rest: distortion counts."""
+    plan = replace(case.plan, repeats=1, keep=min(case.plan.keep, 2))
+    plan = replace(plan, samples=min(plan.samples, LONGEST)) if plan.excitation == "random" else plan
+    runs = from_rest_to_rest(default_rng(1), case.state, plan)
+    size = runs[0].shape[1]
+    decay = NEPER * plan.rate / size
+    frequency = np.fft.rfftfreq(size, 1 / plan.rate)
+    at = np.unique(np.searchsorted(frequency, lines(case)))
+    s = decay + 2j * np.pi * frequency[at]
+    model, whole = nominal(case), plant(case.state)
+    sigma = _spread(s.imag, _measured(case, whole, s), model.orders)
+    window = np.exp(-decay * np.arange(size) / plan.rate)
+    exact, loose = zip(*(_ratios(np.fft.rfft(run * window, axis=1), frequency, at) for run in runs), strict=True)
+    found, spread = np.concatenate(exact, axis=1), np.concatenate([sigma * x for x in loose], axis=1)
+    every, half = np.tile(s, len(runs)), np.tile(np.arange(s.size) % 2 == 0, len(runs))
+    p = _fit(case, model, [whole], s.imag, SHIFTS[:-1])
+    p = _least_squares(model, p, every[half], found[:, half], spread[:, half])
+    wrong = np.abs(found - model.response(p, every)) ** 2 / spread**2
+    return float(np.mean(wrong[:, ~half]))
 
 
-def _spoilt_ratio(case: Case, names: tuple[str, ...], y: NDArray, used: NDArray, s: NDArray) -> NDArray:
-    """Outputs over the input on the excited lines, as faulty channels show them."""
-    return transfer_factor(case.state.channels, names, y[1:, used] / y[0, used], s, _kept(case))
+def _ratios(spectra: NDArray, frequency: NDArray, at: NDArray) -> tuple[NDArray, NDArray]:
+    """Outputs over the input at lines `at`, and how much looser each is for the input that it happened to get."""
+    power = np.concatenate([[0.0], np.cumsum(np.abs(spectra[0]) ** 2)])
+    low, high = (np.searchsorted(frequency, (1 + x) * frequency[at]) for x in (-0.02, 0.02))
+    around = (power[high] - power[low]) / np.maximum(high - low, 1)
+    return spectra[1:, at] / spectra[0, at], np.sqrt(around) / np.abs(spectra[0, at])
 
 
 def lines(case: Case) -> NDArray[np.float64]:
@@ -209,19 +216,15 @@ def _spread(omega: NDArray, H: NDArray, orders: NDArray) -> NDArray[np.float64]:
 
 
 def _fit(
-    case: Case, model: Nominal, plants: list[Plant], omega: NDArray, last: NDArray | None = None
+    case: Case, model: Nominal, plants: list[Plant], omega: NDArray, shifts: tuple[float, ...] = SHIFTS
 ) -> NDArray[np.float64]:
-    """Stiffness factors and log damping ratios that fit the even lines best, from wide valleys to narrow ones.
-
-    `last` stands for the exact response in the last stage, where the structure is not linear.
-    """
+    """Stiffness factors and log damping ratios that fit the even lines best, from wide valleys to narrow ones."""
     n = len(model.parts)
     p = np.concatenate([np.ones(n), np.full(model.n_ratios, np.log(0.01))])
     train = omega[::2]
-    for shift in SHIFTS:
+    for shift in shifts:
         s = (shift + 1j) * train
         exact = np.mean([_measured(case, x, s) for x in plants], axis=0)
-        exact = last if last is not None and shift == 0 else exact
         p = _least_squares(model, p, s, exact, _spread(train, exact, model.orders))
     return p
 

@@ -107,6 +107,16 @@ def record(rng: Generator, state: State, plan: Plan) -> tuple[Run, ...]:
     )
 
 
+def from_rest_to_rest(rng: Generator, state: State, plan: Plan) -> list[NDArray[np.float64]]:
+    """Runs that begin and end at rest, as exact sensors and the faulty channels deliver them, without noise."""
+    ring = int(plan.rate / (0.8 * state.bench.ratio * 2 * band(state)[0]))
+    shots = [_rung_out(shot, ring) for shot in SHOTS[plan.excitation](rng, state, plan)]
+    raw = [run.data for run in _runs(state, plan, shots)]
+    peak = np.max([np.max(np.abs(data), axis=1) for data in raw], axis=0)
+    names = state.channel_names()
+    return [channels.spoil(state.channels, names, data, plan.rate, peak, ((0, data.shape[1]),)) for data in raw]
+
+
 @dataclass(frozen=True, eq=False)
 class Shot:
     """What the generator or the hammer does in one run: a unit signal, its size, and the samples that are kept."""
@@ -121,15 +131,24 @@ class Shot:
 
 def clean(rng: Generator, state: State, plan: Plan) -> list[Run]:
     """What exact sensors would have seen, run by run."""
-    scale = strength(state)
     if state.drift and plan.excitation == "multisine":
-        return [replace(run, data=scale * run.data) for run in _drifting(rng, state, plan)]
-    shots = SHOTS[plan.excitation](rng, state, plan)
+        return [replace(run, data=strength(state) * run.data) for run in _drifting(rng, state, plan)]
+    return _runs(state, plan, SHOTS[plan.excitation](rng, state, plan))
+
+
+def _runs(state: State, plan: Plan, shots: list[Shot]) -> list[Run]:
+    scale = strength(state)
     outputs = _answer_shots(state, plan, shots, scale)
     return [
         Run(np.vstack([scale * shot.size * shot.signal, out])[:, shot.start : shot.stop], shot.level)
         for shot, out in zip(shots, outputs, strict=True)
     ]
+
+
+def _rung_out(shot: Shot, ring: int) -> Shot:
+    """The same with its whole signal, then nothing for `ring` samples."""
+    signal = np.concatenate([shot.signal, np.zeros(ring)])
+    return replace(shot, signal=signal, start=0, stop=signal.size)
 
 
 def strength(state: State) -> float:
