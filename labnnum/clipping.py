@@ -48,8 +48,9 @@ def clipped_runs(signal: ArrayLike, full_scale: float | None = None) -> list[tup
     x = np.asarray(signal, float)
     if full_scale is not None:
         return runs(np.abs(x) >= AT_RAIL * abs(full_scale))
-    if x.size < 4 or not np.isfinite(x).all() or np.ptp(x) == 0:
+    if x.size < 4 or not np.isfinite(x).all() or x.min() == x.max():
         return []
+    x = np.ldexp(x, -int(np.frexp(np.abs(x).max())[1]))  # exact, and squares of huge values stay finite
     centred = x - np.median(x)
     largest = np.abs(centred).max()
     step, noise = resolution(x), noise_level(x)

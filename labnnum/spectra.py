@@ -163,6 +163,7 @@ class Welch:
     def __call__(self, recordings: Recording | Sequence[Recording]) -> Spectra:
         """Spectra averaged over every segment of every recording."""
         batch = pool(recordings)
+        self._require_stretch(batch)
         running = self.start(batch[0].channels, batch[0].rate)
         for recording in batch:
             for start, stop in recording.spans():
@@ -175,21 +176,26 @@ class Welch:
             return spectra
         return replace(spectra, settings=spectra.settings | {"transient": True, "pretrigger": pulse})
 
-    def _require_segments(self, running: Accumulator, batch: Sequence[Recording]) -> None:
-        longest = max((b - a for r in batch for a, b in r.spans()), default=0)
-        need = 1 if self.window == "boxcar" else 2
-        if running.n_segments >= need:
-            return
-        label = batch[0].label
-        if not running.n_segments:
+    def _require_stretch(self, batch: Sequence[Recording]) -> None:
+        longest = _longest(batch)
+        if longest < self.n_segment:
             raise EstimationError(
-                f"{label}: n_segment {self.n_segment} is longer than the longest unbroken stretch of {longest} samples;"
-                f" lower n_segment to {max(2, longest // 8)} or less"
+                f"{batch[0].label}: n_segment {self.n_segment} is longer than the longest unbroken stretch of {longest}"
+                f" samples; lower n_segment to {max(2, longest // 8)} or less"
             )
+
+    def _require_segments(self, running: Accumulator, batch: Sequence[Recording]) -> None:
+        if running.n_segments >= (1 if self.window == "boxcar" else 2):
+            return
         raise EstimationError(
-            f"{label}: only one segment of {self.n_segment} fits, and one average has no coherence and no error;"
-            f" lower n_segment to {max(2, longest // 8)} or less, or record longer"
+            f"{batch[0].label}: only one segment of {self.n_segment} fits, and one average has no coherence and no"
+            f" error; lower n_segment to {max(2, _longest(batch) // 8)} or less, or record longer"
         )
+
+
+def _longest(batch: Sequence[Recording]) -> int:
+    """Samples of the longest unbroken stretch."""
+    return max((b - a for r in batch for a, b in r.spans()), default=0)
 
 
 @lru_cache(maxsize=32)

@@ -26,7 +26,7 @@ from sessions.rig import Rig
 from sessions.runs import Run
 from sessions.shaker import ShakerRun, SteppedRun
 from sessions.snapshot import Progress
-from sessions.store import Session, create_session, open_session
+from sessions.store import Session, create_session, discard_empty, open_session
 
 COMPLETE = "complete"
 
@@ -85,6 +85,16 @@ def measure(rig: Rig, path: str | Path, display: Display | None = None, model_te
         If a device or the disk failed; the generator is off, and everything acknowledged before is stored.
     """
     path, display = Path(path), display or Quiet()
+    new = not path.exists()
+    try:
+        return _measured(rig, path, display, model_text)
+    except InputError:  # found out before anything was recorded: leave no empty session behind
+        if new:
+            discard_empty(path)
+        raise
+
+
+def _measured(rig: Rig, path: Path, display: Display, model_text: str) -> Outcome:
     plan = items(rig)
     with _session(rig, path, model_text) as session:
         messages: list[str] = [session.notice] if session.notice else []

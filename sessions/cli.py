@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from importlib import import_module
+from typing import NoReturn
 
 import typer
 
@@ -33,6 +35,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("diagnose", "sessions.commands.diagnose:diagnose"),
     ("calibrate-diagnosis", "sessions.commands.calibrate_diagnosis:calibrate_diagnosis"),
     ("prove", "sessions.commands.prove:prove"),
+    ("reproduce", "sessions.commands.reproduce:reproduce"),
 )
 """Command name -> "module:function", in the order that --help shows them."""
 
@@ -53,6 +56,12 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
         raise typer.Exit
 
 
+USAGE: type[Exception] = typer.BadParameter.__mro__[1]
+"""What is raised where the command line itself cannot be read."""
+
+NOT_THERE = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.EROFS)
+"""Failures of the system that a name given by the user causes."""
+
 for _name, _where in COMMANDS:
     _module, _function = _where.split(":")
     app.command(_name)(getattr(import_module(_module), _function))
@@ -61,16 +70,40 @@ for _name, _where in COMMANDS:
 def main() -> None:
     """Run the command line: status 2 for input that cannot be used, 1 for a failure, with one line why."""
     try:
-        app()
+        status = app(standalone_mode=False)
     except InputError as error:
-        sys.stderr.write(f"labnnum: {error}\n")
-        sys.exit(2)
+        _end(error, 2)
     except LabnnumError as error:
-        sys.stderr.write(f"labnnum: {error}\n")
+        _end(error, 1)
+    except USAGE as error:
+        if len(sys.argv) == 1:  # the help is printed already
+            sys.exit(2)
+        _end(_usage(error), 2)
+    except BrokenPipeError:  # whoever read the output, such as head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
-    except KeyboardInterrupt:
-        sys.stderr.write("labnnum: interrupted\n")
-        sys.exit(130)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _end(f"{where}{error.strerror or error}", 2 if error.errno in NOT_THERE else 1)
+    except MemoryError as error:
+        _end(f"more memory is needed than there is ({error}): use fewer samples, lines or parameter sets", 1)
+    except (KeyboardInterrupt, typer.Abort):
+        _end("interrupted", 130)
+    else:
+        sys.exit(status if isinstance(status, int) else 0)
+
+
+def _end(why: object, status: int) -> NoReturn:
+    sys.stderr.write(f"labnnum: {why}\n")
+    sys.exit(status)
+
+
+def _usage(error: Exception) -> str:
+    """One line on a command line that cannot be read."""
+    said = getattr(error, "format_message", lambda: str(error))()
+    told = " ".join(said.split()).rstrip(".")
+    command = getattr(getattr(error, "ctx", None), "command_path", "labnnum")
+    return f"{told[:1].lower()}{told[1:]}; see '{command} --help'"
 
 
 if __name__ == "__main__":

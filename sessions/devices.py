@@ -113,6 +113,8 @@ def true_parameters(structure: Structure, values: dict[str, float], path: Path) 
     for name, value in values.items():
         if name not in names:
             raise ConfigError(f"{path}: simulated.parameters.{name}: the model has {', '.join(names) or 'none'}")
+        if not np.isfinite(value):
+            raise ConfigError(f"{path}: simulated.parameters.{name}: {value} is no finite number")
         theta[names.index(name)] = value
     return theta
 

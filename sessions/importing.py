@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from drivers.block import Block
-from labnnum.errors import FileError
 from labnnum.frf import Frf
 from sessions.exchange import channels_of, read_files
 from sessions.exchange.imported import ImportedRun
 from sessions.screen import screened
-from sessions.store import Session, create_session, publish
+from sessions.store import Session, create_session, publish, require_new
 from sessions.toml import read_toml
 
 BLOCK = 65536
@@ -54,8 +53,7 @@ def import_files(
     InputError
         If anything cannot be used; `output` is then not created.
     """
-    if output.exists():
-        raise FileError(f"{output}: exists already and is not written over; choose another name with -o")
+    require_new(output)
     found = read_files(paths, channels)
     runs = [] if isinstance(found, Frf) else screened(found, keep_bad)
     rig_text, model_text = ("" if path is None else read_toml(path) for path in (rig, model))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, FiniteFloat
 
 from labnnum.bands import Band
 from labnnum.errors import ConfigError
@@ -52,10 +52,10 @@ class ParameterTable(Table):
     """One [[parameter]]."""
 
     name: str = Field(min_length=1)
-    nominal: float
-    lower: float
-    upper: float
-    std: float | None = None
+    nominal: FiniteFloat
+    lower: FiniteFloat
+    upper: FiniteFloat
+    std: FiniteFloat | None = None
     unit: str = "1"
 
     def build(self) -> Parameter:

@@ -55,6 +55,11 @@ class FrfSettings:
     gate: float = 0.0
     keep_clipped: bool = False
 
+    def __post_init__(self) -> None:
+        for name, unit in (("decay", "1/s"), ("gate", "s")):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise EstimationError(f"{name} is {getattr(self, name)}: it must be 0 or more, in {unit}")
+
 
 def are_hits(recordings: Sequence[Recording]) -> bool:
     """Whether the recordings are hammer hits: each stretch has one short pulse of force, and nothing after it.
@@ -137,6 +142,10 @@ def estimate(recordings: Sequence[Recording], settings: FrfSettings) -> Frf:
         return periodic(list(recordings))
     if done.estimator not in ESTIMATORS:
         raise EstimationError(f"estimator {done.estimator!r} is not one of auto, {', '.join(ESTIMATORS)}, periodic")
+    if (done.decay or done.gate) and not done.hits:
+        raise EstimationError(
+            f"{recordings[0].label}: decay and gate are for hammer hits, and this is none; say --hits if it is"
+        )
     if done.hits:
         gate = (done.gate, done.gate) if done.gate else None
         processor = Hits(done.segment, done.decay, gate)

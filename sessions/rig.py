@@ -26,6 +26,7 @@ from pydantic import Field, field_validator, model_validator
 from drivers.generators import OPENERS
 from labnnum.errors import ConfigError, InputError
 from labnnum.recording import Channel
+from labnnum.windows import window
 from sessions.calibration import Calibration, calibrated, read_calibration, stated
 from sessions.channels import ChannelTable
 from sessions.tables import StoredChannel
@@ -171,11 +172,20 @@ class ProcessingTable(Table):
 
     estimator: Literal["H1", "H2", "Hv", "periodic"] | None = None
     window: str = "hann"
-    segment: Count = 4096
+    segment: Annotated[int, Field(ge=2)] = 4096
     overlap: Annotated[float, Field(ge=0, lt=1)] = 0.5
     decay: NotNegative = 0.0
     force_gate: tuple[NotNegative, Positive] | None = None
     coherence: Share = 0.9
+
+    @field_validator("window")
+    @classmethod
+    def _known_window(cls, value: str) -> str:
+        try:
+            window(value, 8)
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        return value
 
 
 class SafetyTable(Table):
@@ -287,7 +297,18 @@ class RigToml(Table):
             raise ValueError(
                 f"excitation.high: {self.excitation.high:g} Hz is above half of device.rate {self.device.rate:g} Hz"
             )
+        self._require_averages()
         return self
+
+    def _require_averages(self) -> None:
+        """Random excitation must last for two segments: one alone has no coherence."""
+        e, p = self.excitation, self.processing
+        have, need = e.duration * self.device.rate, p.segment * (2 - p.overlap)
+        if e.kind == "random" and have < need:
+            raise ValueError(
+                f"processing.segment: two segments of {p.segment} samples need {need / self.device.rate:.4g} s, and"
+                f" excitation.duration is {e.duration:g} s: lower one or raise the other"
+            )
 
 
 @dataclass(frozen=True, eq=False)

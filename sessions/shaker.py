@@ -161,7 +161,7 @@ class ShakerRun(_Excited):
         off = held / self.target - 1
         reason = f"level held at {held:.4g} {self.unit} RMS ({off:+.1%})"
         if abs(off) > 2 * self.excitation.tolerance:
-            desk.say(f"{desk.item.key}: {reason}, asked were {self.target:g}")
+            desk.say(f"{reason}, asked were {self.target:g}")
         info = {"level": held, "volts": desk.status.volts}
         desk.run.add_hit(start, stop, True, reason, info=info)
 

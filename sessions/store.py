@@ -31,7 +31,7 @@ from labnnum import __version__
 from labnnum.errors import FileError, StoreError
 from labnnum.frf import Frf
 from labnnum.recording import Channel, Recording
-from sessions import runs, tables
+from sessions import HDF5_SUFFIXES, runs, tables
 from sessions.journal import JournaledFile, Snapshot, force_folder, journal_path, replay
 from sessions.lock import WriterLock
 from sessions.runs import Run
@@ -76,7 +76,7 @@ def create_session(
         If `path` exists, or its folder does not.
     """
     path = Path(path)
-    _require_new(path)
+    require_new(path)
     lock = WriterLock(path)
     try:
         journal_path(path).unlink(missing_ok=True)  # of a session that was deleted
@@ -103,6 +103,8 @@ def open_session(path: str | os.PathLike[str], mode: Literal["r", "a"] = "r", sy
         If another process writes it.
     """
     path = Path(path)
+    if path.is_dir():
+        raise FileError(f"{path}: is a folder; name a session (.h5) in it")
     if not path.is_file():
         raise FileError(f"{path}: no such session; create one with 'labnnum import' or 'labnnum measure'")
     if mode not in ("r", "a"):
@@ -374,11 +376,25 @@ def _next(group: Node) -> str:
     return f"{max((int(n) for n in group), default=0) + 1:04d}"
 
 
-def _require_new(path: Path) -> None:
+def require_new(path: Path) -> None:
+    """FileError unless a session can be created at `path`: nothing is there, its folder is, and it is called .h5."""
     if path.exists():
         raise FileError(f"{path}: exists already and is not written over; choose another name")
+    if path.suffix.lower() not in HDF5_SUFFIXES:
+        raise FileError(f"{path}: a session is an .h5 file; call it {path.stem}.h5")
     if not path.parent.is_dir():
         raise FileError(f"{path}: there is no folder {path.parent}")
+
+
+def discard_empty(path: Path) -> None:
+    """Remove a session that holds no sample and no result; any other stays."""
+    if not path.is_file():
+        return
+    with open_session(path) as session:
+        empty = not any(run.n_samples for run in session.runs) and not session.results() and not session.frfs()
+    if empty:
+        path.unlink()
+        journal_path(path).unlink(missing_ok=True)
 
 
 def _skeleton(part: Path, rig_text: str, model_text: str) -> None:
@@ -449,6 +465,8 @@ def _check_hdf5(path: Path) -> None:
 
 
 def _check(path: Path, file: Node) -> None:
+    if str(file.attrs.get("format")).startswith("labnnum-updater"):
+        raise FileError(f"{path}: is an updater and no session; use it as in 'labnnum update SESSION -u {path.name}'")
     if file.attrs.get("format") != FORMAT:
         raise FileError(f"{path}: is HDF5 but no labnnum session; bring data in with 'labnnum import'")
     version = int(file.attrs.get("version", 0))

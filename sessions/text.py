@@ -14,7 +14,7 @@ from rich.text import Text
 from sessions.snapshot import Curves, Snapshot
 
 BARS = " ▁▂▃▄▅▆▇█"
-WIDTH = 64
+WIDTH = 48
 LAST = 8
 
 
@@ -32,7 +32,9 @@ def render(snapshot: Snapshot) -> RenderableType:
 def _headline(s: Snapshot) -> Text:
     out = Text(f"{s.state}   {s.time:.1f} s", style="bold")
     if not math.isnan(s.target):
-        out.append(f"   level {s.level:.4g} of {s.target:g} {s.level_unit} RMS at {s.volts:.3g} V", style="default")
+        level = "–" if math.isnan(s.level) else f"{s.level:.4g}"
+        volts = "" if math.isnan(s.volts) else f" at {s.volts:.3g} V"
+        out.append(f"   level {level} of {s.target:g} {s.level_unit} RMS{volts}", style="default")
     if s.lost or s.overflows:
         out.append(f"   {s.lost} frames lost, {s.overflows} overflows", style="bold red")
     return out
@@ -77,7 +79,7 @@ def _hits(s: Snapshot) -> Table:
 def _frf(c: Curves) -> Table:
     table = Table(title=f"FRF, {c.averages:.3g} averages", box=None, pad_edge=False, title_justify="left")
     for title in ("", f"|H| {c.frequency[0]:.4g} - {c.frequency[-1]:.4g} Hz", "coherence"):
-        table.add_column(title)
+        table.add_column(title, no_wrap=True)
     for i, name in enumerate(c.names):
         coherence = "" if c.coherence is None else f"{np.nanmean(c.coherence[i]):.3f}"
         table.add_row(name, _bars(c.magnitude[i], WIDTH), coherence)

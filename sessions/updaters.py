@@ -28,6 +28,7 @@ from labnnum.updating.network import RbfNetwork
 from labnnum.updating.novelty import Novelty
 from labnnum.updating.training import TrainingSet
 from labnnum.updating.updater import Updater
+from sessions import HDF5_SUFFIXES
 from sessions.model import Model, parse_model
 from sessions.tables import read_json, read_text, write_json, write_text
 
@@ -60,12 +61,23 @@ def save_updater(path: str | Path, updater: Updater, model: Model | None = None)
     return path
 
 
+def is_updater(path: Path) -> bool:
+    """Whether a file is an updater, of any version."""
+    try:
+        with h5py.File(path, "r") as file:
+            return file.attrs.get("format") == FORMAT
+    except OSError:
+        return False
+
+
 def require_free(path: Path) -> None:
-    """FileError if something stands at `path` already, or its folder is missing."""
+    """FileError if something stands at `path` already, its folder is missing, or it is not called .h5."""
     if path.exists():
         raise FileError(f"{path}: exists already; choose another name, or delete it first")
     if not path.parent.is_dir():
         raise FileError(f"{path}: there is no folder {path.parent}; create it first")
+    if path.suffix.lower() not in HDF5_SUFFIXES:
+        raise FileError(f"{path}: an updater is an .h5 file; call it {path.stem}.h5")
 
 
 def load_updater(path: str | Path, structure: Structure | None = None) -> Updater:
@@ -93,6 +105,8 @@ def load_updater(path: str | Path, structure: Structure | None = None) -> Update
 
 
 def _opened(path: Path) -> h5py.File:
+    if path.is_dir():
+        raise FileError(f"{path}: is a folder; name an updater (.h5) in it")
     if not path.is_file():
         raise FileError(f"{path}: no such updater; make one with 'labnnum train model.toml -o {path.name}'")
     try:

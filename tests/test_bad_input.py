@@ -119,6 +119,22 @@ def existing(folder):
     (folder / "out.h5").write_text("mine")
 
 
+def updater(folder):
+    with h5py.File(folder / "case.h5", "w") as file:
+        file.attrs["format"], file.attrs["version"] = "labnnum-updater", 1
+
+
+def half_headed(folder):
+    """A table whose headings name one of the two channels: the other is missing, and nothing may stand in for it."""
+    (folder / "case.csv").write_text("t,f\n" + "".join(f"{i / 1000},{i % 7}\n" for i in range(100)))
+    (folder / "channels.toml").write_text(CHANNELS)
+
+
+def with_file(folder, name):
+    session(folder)
+    (folder / name).write_text("mine")
+
+
 IMPORT = "import case.npz -o out.h5"
 
 TABLE = {
@@ -139,6 +155,13 @@ TABLE = {
     "binary called text": (lambda f: (f / "x.csv").write_bytes(b"\0\1"), "import x.csv -o out.h5", r"x\.csv: is bin"),
     "words called text": (lambda f: (f / "x.csv").write_text("a b"), "import x.csv -o out.h5", r"x\.csv: no line of"),
     "text called UFF": (lambda f: (f / "x.uff").write_text("a"), "import x.uff -o out.h5", r"x\.uff: is no universal"),
+    "folder": (lambda f: (f / "case.npz").mkdir(), IMPORT, r"case\.npz: is a folder; name the files in it"),
+    "folder as session": (lambda f: (f / "case.h5").mkdir(), "frf case.h5", r"case\.h5: is a folder; name a session"),
+    "column missing": (half_headed, "import case.csv -o out.h5", r"case\.csv: channel 'a': there is no array 'a'"),
+    "no session's name": (npz, "import case.npz -o out.txt", r"out\.txt: a session is an \.h5 file; call it out\.h5"),
+    "name too long": (npz, "import case.npz -o " + "x" * 300 + ".h5", r"xx\.h5: File name too long"),
+    "no folder for a session": (npz, "import case.npz -o no/out.h5", r"no/out\.h5: there is no folder no"),
+    "file as a folder": (npz, "import case.npz -o case.npz/out.h5", r"case\.npz/out\.h5: there is no folder"),
     "a session imported": (session, "import case.h5 -o out.h5", r"case\.h5: is a session already"),
     # sessions
     "newer session": (newer, "info case.h5", r"case\.h5: has session version 99 .*: install a newer labnnum"),
@@ -148,6 +171,8 @@ TABLE = {
     "truncated session for frf": (truncated_session, "frf case.h5", r"case\.h5: is truncated"),
     "foreign HDF5": (foreign_session, "info case.h5", r"case\.h5: is HDF5 but no labnnum session"),
     "no HDF5": (text_session, "frf case.h5", r"case\.h5: is no HDF5 file"),
+    "updater as session": (updater, "frf case.h5", r"case\.h5: is an updater and no session; use it as in 'labnnum"),
+    "no rig kept": (session, "info case.h5 --rig", r"case\.h5: keeps no rig\.toml"),
     # channels
     "NaN": (lambda f: npz(f, a=spoilt(17, np.nan)), IMPORT, r"case\.npz: channel 'a' is not finite at sample 17"),
     "infinite": (lambda f: npz(f, f=spoilt(3, np.inf)), IMPORT, r"channel 'f' is not finite at sample 3"),
@@ -187,7 +212,19 @@ TABLE = {
         lambda f: npz(f, channels=CHANNELS.replace('quantity = "force"', 'quantity = "force"\nunit = "mm"')), IMPORT,
         r"channel 'f': unit 'mm' does not measure force",
     ),
+    "period longer than the data": (
+        lambda f: npz(f, channels="period = 5000\n" + CHANNELS), IMPORT, r"period 5000 and drop_periods 0 leave noth",
+    ),
+    "every period dropped": (
+        lambda f: npz(f, channels="period = 1000\ndrop_periods = 4\n" + CHANNELS), IMPORT, r"drop_periods 4 leave noth",
+    ),
     # estimates
+    "segment beyond memory": (session, "frf case.h5 --segment 999999999999", r"is longer than the longest unbroken"),
+    "decay": (session, "frf case.h5 --hits --decay nan", r"decay is nan: it must be 0 or more, in 1/s"),
+    "gate": (session, "frf case.h5 --hits --gate=-1", r"gate is -1\.0: it must be 0 or more, in s"),
+    "decay of noise": (session, "frf case.h5 --decay 5", r"decay and gate are for hammer hits, and this is none"),
+    "coherence": (session, "frf case.h5 --coherence 2", r"--coherence 2: expected a number from 0 to 1"),
+    "band beyond the rate": (session, "frf case.h5 --band 900:1000", r"band 900 to 1000 Hz lies above half the sample"),
     "too few segments": (lambda f: session(f, 500), "frf case.h5 --segment 400", r"only one segment of 400 fits"),
     "segment too long": (lambda f: session(f, 500), "frf case.h5 --segment 4096", r"4096 is longer .*lower n_segment"),
     "unknown window": (session, "frf case.h5 --window ham", r"window 'ham' is not one of .*hann"),
@@ -205,7 +242,18 @@ TABLE = {
     "FRF and no recording": (frf_session, "export case.h5 out.npz", r"holds FRFs and no recordings; export with --frf"),
     "no such number": (session, "export case.h5 out.npz --number 4", r"there is no run 4; there are 1"),
     "no folder": (session, "export case.h5 no/out.npz", r"there is no folder no"),
+    # command lines
+    "unknown option": (session, "frf case.h5 --windw hann", r"no such option: --windw .*see 'labnnum frf --help'"),
+    "unknown command": (session, "fr case.h5", r"no such command 'fr'.*see 'labnnum --help'"),
+    "argument missing": (session, "frf", r"missing argument 'session'; see 'labnnum frf --help'"),
+    "word for a number": (session, "frf case.h5 --segment many", r"invalid value for '--segment'"),
     # what is there stays
+    "report over a file": (lambda f: with_file(f, "x.html"), "report case.h5 -o x.html", r"x\.html: exists .* no rep"),
+    "report over a model": (lambda f: with_file(f, "m.toml"), "report case.h5 -o m.toml", r"m\.toml: exists .* no rep"),
+    "report into a folder": (
+        lambda f: (session(f), (f / "sub").mkdir()), "report case.h5 -o sub", r"sub: is a folder; name the page in it",
+    ),
+    "report of another kind": (session, "report case.h5 -o x.pdf", r"x\.pdf: a report is an \.html file; call it x"),
     "import over a file": (existing, IMPORT, r"out\.h5: exists already and is not written over"),
     "import over its source": (npz, "import case.npz -o case.npz", r"case\.npz: exists already and is not"),
     "export over a file": (
@@ -223,12 +271,16 @@ def run(monkeypatch, capsys, line):
     return end.value.code, shown.err, shown.out
 
 
+def files(folder):
+    return {p.name: p.read_bytes() if p.is_file() else None for p in folder.iterdir()}
+
+
 @pytest.mark.parametrize("case", TABLE)
 def test_bad_input(case, tmp_path, monkeypatch, capsys):
     prepare, line, expected = TABLE[case]
     prepare(tmp_path)
     monkeypatch.chdir(tmp_path)
-    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    before = files(tmp_path)
     status, said, out = run(monkeypatch, capsys, line)
     assert out == ""
     assert len(said.splitlines()) == 1, said
@@ -237,7 +289,7 @@ def test_bad_input(case, tmp_path, monkeypatch, capsys):
 
     assert re.search(expected, said), said
     assert status == 2
-    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    assert files(tmp_path) == before
 
 
 def test_a_session_in_use_is_a_failure_and_not_bad_input(tmp_path, monkeypatch, capsys):

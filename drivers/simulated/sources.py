@@ -248,6 +248,8 @@ class Operator(Source):
     hits: list[Hit] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        if self.tip not in TIPS:
+            raise InputError(f"hammer tip {self.tip!r} is not one of {', '.join(TIPS)}")
         self.restart()
 
     def restart(self) -> None:

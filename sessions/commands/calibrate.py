@@ -72,6 +72,7 @@ def calibrate(
     from sessions.commands.printing import bar
 
     found = _read(rig, channel)
+    _check(found, channel, seconds, inputs or show)
     if show or forget:
         if forget:
             _require(found, channel)
@@ -90,6 +91,19 @@ def calibrate(
             entries = _tone(found, channel, level, peak, frequency, options)
     add_entries(rig, entries)
     _tell(rig, found, entries, f"kept in {calibration_path(rig)}", as_json)
+
+
+def _check(found: Rig, channel: str, seconds: float, any_channel: bool) -> None:
+    """ConfigError if no channel is named where one is needed, or no time."""
+    from math import inf
+
+    from labnnum.errors import ConfigError
+
+    if not channel and not any_channel:
+        names = ", ".join(c.name for c in found.channels)
+        raise ConfigError(f"name the channel to calibrate, one of {names}; or all inputs at once with --inputs")
+    if not 0 < seconds < inf:
+        raise ConfigError(f"--seconds {seconds:g}: expected a positive number")
 
 
 def _read(rig: Path, channel: str) -> Rig:

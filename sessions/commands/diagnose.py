@@ -36,8 +36,11 @@ def diagnose(
 
     from rich.console import Console
 
+    from labnnum.errors import FileError
     from sessions.diagnose import diagnose_files
 
+    if out.exists() and not out.is_dir():
+        raise FileError(f"{out}: is a file; --out names a folder for the answer")
     console = Console(stderr=True)
     with console.status("reading") as status:
         content = diagnose_files(

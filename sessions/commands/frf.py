@@ -10,6 +10,7 @@ import typer
 if TYPE_CHECKING:
     from labnnum.bands import Band
     from labnnum.frf import Frf
+    from sessions.store import Session
 
 
 def frf(
@@ -61,13 +62,17 @@ def frf(
     import json
     from typing import cast
 
+    from labnnum.errors import ConfigError
     from sessions.commands.printing import bar, finite
     from sessions.reprocess import FrfSettings, Method, reprocess
     from sessions.store import open_session
 
     bands = [_band(text) for text in band or []]
+    if not 0 <= coherence <= 1:
+        raise ConfigError(f"--coherence {coherence:g}: expected a number from 0 to 1")
     settings = FrfSettings(cast(Method, estimator), segment, window, overlap, hits, decay, gate, keep_clipped)
     with open_session(session, "a") as store, bar("estimating") as progress:
+        _require_within(bands, store)
         done = reprocess(store, settings, run or [], progress)
     said = [_described(path, one, coherence, bands) for path, one in done]
     if as_json:
@@ -91,6 +96,16 @@ def _band(text: str) -> Band:
         if isinstance(error, BandError):
             raise
         raise BandError(f"band {text!r} is not LOW:HIGH in Hz, such as 50:2000") from None
+
+
+def _require_within(bands: list[Band], store: Session) -> None:
+    """BandError for a band above half of every run's rate, before anything is estimated and stored."""
+    from labnnum.errors import BandError
+
+    top = max((run.rate for run in store.runs), default=0.0) / 2
+    for band in bands:
+        if store.runs and band.low >= top:
+            raise BandError(f"band {band.low:g} to {band.high:g} Hz lies above half the sample rate, {top:g} Hz")
 
 
 def _described(path: str, one: Frf, threshold: float, bands: list[Band]) -> dict[str, Any]:

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 
 def info(
     file: Annotated[Path, typer.Argument(help="A session, or a file to import.", show_default=False)],
+    rig: Annotated[bool, typer.Option("--rig", help="Print the rig.toml that the session keeps.")] = False,
+    model: Annotated[bool, typer.Option("--model", help="Print the model.toml that it keeps.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,
 ) -> None:
-    """Show what a file holds: runs, channels, hits and results of a session; arrays or functions of other files.
+    """Show what a file holds: a session's runs, channels, hits and results, an updater, arrays of other files.
 
     Of a session it lists every run with its channels, how long it is, its hits (accepted of all), gaps, overloads
     and how it ended, and every result that was computed from it. A session that is just being recorded can be
@@ -28,6 +30,8 @@ def info(
 
         labnnum info beam.h5
 
+        labnnum info beam.h5 --rig > rig.toml
+
         labnnum info frf.uff --json
     """
     import json
@@ -35,8 +39,15 @@ def info(
     from sessions.commands.printing import finite
     from sessions.exchange import SESSION_SUFFIXES
     from sessions.store import open_session
+    from sessions.updaters import is_updater
 
-    if file.suffix.lower() in SESSION_SUFFIXES or not file.exists():
+    if rig or model:
+        typer.echo(_kept(file, "rig" if rig else "model"), nl=False)
+        return
+    if is_updater(file):
+        said = describe_updater(file)
+        text = "" if as_json else _updater_text(said)
+    elif file.suffix.lower() in SESSION_SUFFIXES or not file.exists():
         with open_session(file) as session:
             said = describe_session(session)
             text = "" if as_json else _session_text(said)
@@ -44,6 +55,54 @@ def info(
         said = describe_file(file)
         text = "" if as_json else _file_text(said)
     typer.echo(json.dumps(finite(said)) if as_json else text)
+
+
+def _kept(file: Path, what: str) -> str:
+    """The rig.toml or model.toml that a session keeps."""
+    from labnnum.errors import FileError
+    from sessions.store import open_session
+
+    with open_session(file) as session:
+        text = session.rig_text if what == "rig" else session.model_text
+    if not text:
+        raise FileError(f"{file}: keeps no {what}.toml")
+    return text
+
+
+def describe_updater(path: Path) -> dict[str, Any]:
+    """What an updater is for, as `--json` prints it."""
+    from sessions.updaters import load_updater
+
+    found = load_updater(path)
+    return {
+        "file": str(path),
+        "outputs": [c.name for c in found.outputs],
+        "inputs": [c.name for c in found.inputs],
+        "bands": [[b.low, b.high] for b in found.bands],
+        "lines": int(found.frequency.size),
+        "parameters": [
+            {"name": p.name, "unit": p.unit, "lower": p.lower, "upper": p.upper, "e_avg": float(a), "e_max": float(b)}
+            for p, a, b in zip(found.structure.parameters, *found.validation, strict=True)
+        ],
+        "settings": found.settings,
+    }
+
+
+def _updater_text(said: dict[str, Any]) -> str:
+    from sessions.commands.printing import table
+
+    bands = ", ".join(f"{low:g} to {high:g}" for low, high in said["bands"])
+    rows = [
+        [p["name"], p["unit"], *(f"{p[k]:.4g}" for k in ("lower", "upper", "e_avg", "e_max"))]
+        for p in said["parameters"]
+    ]
+    return "\n".join(
+        [
+            f"{said['file']}: updater of {said['settings'].get('samples', '?')} sets, {said['lines']} lines",
+            f"from {', '.join(said['inputs'])} to {', '.join(said['outputs'])}, in {bands} Hz",
+            table(["parameter", "unit", "lower", "upper", "mean error %", "largest %"], rows),
+        ]
+    )
 
 
 def describe_session(session: Session) -> dict[str, Any]:

@@ -36,13 +36,15 @@ def report(
 
         labnnum report beam.h5 --updater beam-updater.h5 -o for-the-customer.html
     """
-    from sessions.report.page import write_report
+    from sessions.report.page import require_page, write_report
 
+    page = out or session.with_suffix(".html")
+    require_page(page)
     if updater is not None or model is not None:
         from sessions.updating import choose_frf, run_update, store
 
         store(session, run_update(choose_frf(session), updater, model))
-    made = write_report(session, out or session.with_suffix(".html"))
+    made = write_report(session, page)
     if as_json:
         import json
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -71,8 +73,10 @@ def simulate(
     from sessions.devices import true_parameters
     from sessions.model import read_model
     from sessions.simulate import Bench, default_inputs, settling, simulate_run
-    from sessions.store import create_session
+    from sessions.store import create_session, require_new
 
+    require_new(output)
+    _check(excitation, rate, noise, bits, level or [], hits, realisations, interval)
     read = read_model(model)
     structure = read.structure
     theta = true_parameters(structure, _values(parameter or []), model)
@@ -83,6 +87,7 @@ def simulate(
     levels = level or [100.0 if excitation == "hammer" else 1.0]
     runs = [(one, r) for one in levels for r in range(realisations)]
     with (
+        _no_remains(output),
         create_session(output, model_text=model.read_text(encoding="utf-8")) as session,
         Progress(console=_stderr(), transient=True) as bar,
     ):
@@ -104,6 +109,43 @@ def simulate(
         typer.echo(json.dumps(told))
     else:
         typer.echo(f"{output}: {len(runs)} run{'s' * (len(runs) > 1)} of {len(inputs)} channels; see 'labnnum info'")
+
+
+def _check(
+    excitation: str, rate: float, noise: float, bits: int, levels: list[float], hits: int, realisations: int,
+    interval: float | None,
+) -> None:  # fmt: skip
+    """ConfigError that names the first option that cannot be."""
+    from math import inf
+
+    from labnnum.errors import ConfigError
+
+    if excitation not in EXCITATIONS:
+        raise ConfigError(f"--excitation {excitation!r}: expected one of {', '.join(EXCITATIONS)}")
+    positive = [("--rate", rate), *(("--level", one) for one in levels)]
+    positive += [("--interval", interval)] if interval is not None else []
+    for name, value in positive:
+        if not 0 < value < inf:
+            raise ConfigError(f"{name} {value:g}: expected a positive number")
+    if not 0 <= noise < inf:
+        raise ConfigError(f"--noise {noise:g}: expected 0 or more")
+    if not 0 <= bits <= 32:
+        raise ConfigError(f"--bits {bits}: expected 1 to 32, or 0 for no steps")
+    for name, count in (("--hits", hits), ("--realisations", realisations)):
+        if count < 1:
+            raise ConfigError(f"{name} {count}: expected 1 or more")
+
+
+@contextmanager
+def _no_remains(path: Path) -> Iterator[None]:
+    """What cannot be simulated leaves no file behind."""
+    from labnnum.errors import LabnnumError
+
+    try:
+        yield
+    except LabnnumError:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def _stderr():
@@ -159,8 +201,6 @@ def _excitation(kind, duration, periods, period, detection, low, high, seed):
     from labnnum.errors import ConfigError
     from sessions.rig import ExcitationTable
 
-    if kind not in EXCITATIONS:
-        raise ConfigError(f"--excitation {kind!r}: expected one of {', '.join(EXCITATIONS)}")
     name = {"sweep": "chirp"}.get(kind, kind.replace("-", " "))
     asked = {"kind": name, "duration": duration, "periods": periods, "period": period, "seed": seed, "low": low}
     asked |= {"high": high, "detection": detection, "odd": detection > 0}

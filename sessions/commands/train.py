@@ -81,6 +81,7 @@ def train(
     from sessions.updaters import require_free, save_updater
 
     require_free(output)
+    _check(noise, centres, seed)
     read = read_model(model)
     like, outputs, inputs, lines = _measurement(read, frf, channels, response or [], drive or [], step)
     trained = _trained(
@@ -89,6 +90,20 @@ def train(
     )  # fmt: skip
     save_updater(output, trained, read)
     _show(trained, output, as_json)
+
+
+def _check(noise: float, centres: int | None, seed: int) -> None:
+    """ConfigError that names the option that cannot be."""
+    from math import inf
+
+    from labnnum.errors import ConfigError
+
+    if not 0 <= noise < inf:
+        raise ConfigError(f"--noise {noise:g}: expected 0 or more, as a share of |H|")
+    if centres is not None and centres < 1:
+        raise ConfigError(f"--centres {centres}: expected 1 or more")
+    if seed < 0:
+        raise ConfigError(f"--seed {seed}: expected 0 or more")
 
 
 def _measurement(read: Model, frf: Path | None, channels: Path | None, response: list[str], drive: list[str],

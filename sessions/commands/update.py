@@ -49,7 +49,13 @@ def update(
 
         labnnum update run.h5 --model beam.toml --json
     """
+    from math import inf
+
+    from labnnum.errors import ConfigError
     from sessions.updating import choose_frf, run_update, store
+
+    if floor is not None and not 0 <= floor < inf:
+        raise ConfigError(f"--floor {floor:g}: expected 0 or more, as a share of |H|")
 
     measured = choose_frf(measurement, frf, channels)
     done = run_update(measured, updater, model, method, prior=prior, floor=floor)

@@ -16,6 +16,7 @@ from pathlib import Path
 from labnnum.errors import ConfigError, FileError
 from labnnum.frf import Frf
 from labnnum.recording import Recording
+from sessions import HDF5_SUFFIXES
 from sessions.channels import ChannelMap, parse_channels, read_channels
 from sessions.exchange import mat, npz, text, uff, uff_meaning, wav
 from sessions.exchange.arrays import Arrays
@@ -44,7 +45,7 @@ FORMATS: tuple[Format, ...] = (
 )
 """Importable formats; sessions (.h5) are the program's own."""
 
-SESSION_SUFFIXES = (".h5", ".hdf5")
+SESSION_SUFFIXES = HDF5_SUFFIXES
 
 
 def read_any(path: str | Path, channels: str | Path | ChannelMap | None = None) -> list[Recording] | Frf:
@@ -146,7 +147,9 @@ def channels_of(path: Path, channels: Path | None = None) -> tuple[str, list[str
 
 
 def format_of(path: Path) -> Format:
-    """The format that a file's ending tells; FileError if it is none of `FORMATS`."""
+    """The format that a file's ending tells; FileError if it is none of `FORMATS`, or a folder."""
+    if path.is_dir():
+        raise FileError(f"{path}: is a folder; name the files in it")
     for one in FORMATS:
         if path.suffix.lower() in one.suffixes:
             return one

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,21 @@ def to_runs(file: Arrays, channels: ChannelMap) -> list[ImportedRun]:
     if channels.run and not tables:
         raise ConfigError(f"{channels.name}: no [[run]] is of the file {file.path.name}")
     cut = [_cut(whole, run, i, channels) for i, run in enumerate(tables)] if tables else [whole]
+    for run in cut:
+        if not file.channels:  # what labnnum exported comes back as it was
+            _require_periods(run, channels.name)
     return [_without_mean(run, channels) for run in cut]
+
+
+def _require_periods(run: ImportedRun, where: str) -> None:
+    """ConfigError if a period is stated of which no stretch holds one that counts."""
+    edges = [0, *sorted(run.breaks), run.raw.shape[1]]
+    longest = max(b - a for a, b in pairwise(edges))
+    if run.period and longest < (1 + run.drop_periods) * run.period:
+        raise ConfigError(
+            f"{where}: period {run.period} and drop_periods {run.drop_periods} leave nothing of {run.label}, whose"
+            f" longest stretch has {longest} samples"
+        )
 
 
 def _whole(file: Arrays, channels: ChannelMap) -> ImportedRun:
@@ -87,7 +102,7 @@ def _rows(file: Arrays, channels: ChannelMap) -> tuple[list[NDArray], NDArray | 
     """One row of samples a channel, and the time axis if it turned out to be the row before them."""
     sources: list[Source | None] = [c.source for c in channels.channel]
     axis = None
-    if all(s is None for s in sources) and not all(c.name in file.arrays for c in channels.channel):
+    if all(s is None for s in sources) and not any(c.name in file.arrays for c in channels.channel):
         sources, axis = _by_position(file, [c.name for c in channels.channel])
     rows = []
     for table, source in zip(channels.channel, sources, strict=True):

@@ -18,6 +18,9 @@ from sessions.report.figures import excited
 from sessions.report.numbers import date, quantity
 from sessions.report.sections import SECTIONS, Section, SectionMaker
 
+MARK = "labnnum report</title>"
+"""By which a report is known."""
+
 
 def write_report(
     session: str | os.PathLike[str],
@@ -32,7 +35,7 @@ def write_report(
     ----------
     session : path
     out : path
-        Written over if it exists: it holds nothing that the session does not.
+        An earlier report is written over, as it holds nothing that the session does not; any other file is not.
     sections : sequence of functions Content -> Section or None
     extra : mapping, optional
         What sections of a caller's own need: `Content.extra`.
@@ -43,14 +46,23 @@ def write_report(
         If the session cannot be read, or the report cannot be written.
     """
     out = Path(out)
-    if out.suffix == ".h5" or out.resolve() == Path(session).resolve():
-        raise FileError(f"{out}: a report is an .html file; it is not written over a session")
+    require_page(out)
     text = render(gather(session, extra), sections)
     try:
         out.write_text(text, encoding="utf-8")
     except OSError as error:
         raise FileError(f"{out}: cannot be written ({error.strerror}); choose another place with -o") from error
     return out
+
+
+def require_page(out: Path) -> None:
+    """FileError unless `out` is the name of a page, and free or an earlier report."""
+    if out.is_dir():
+        raise FileError(f"{out}: is a folder; name the page in it, as in -o {out.name}/report.html")
+    if out.is_file() and MARK not in out.read_text(encoding="utf-8", errors="replace")[:2000]:
+        raise FileError(f"{out}: exists already, is no report of labnnum, and is not written over; choose another name")
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise FileError(f"{out}: a report is an .html file; call it {out.stem}.html")
 
 
 def render(content: Content, sections: Sequence[SectionMaker] = SECTIONS) -> str:
