@@ -77,7 +77,7 @@ def _ok(words, env) -> bool:
     return subprocess.run(words, env=env, capture_output=True, timeout=20).returncode == 0
 
 
-def _wait(condition, seconds=40.0):
+def _wait(condition, seconds=120.0):
     until = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < until, "it did not happen in time"
