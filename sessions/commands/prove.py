@@ -14,7 +14,12 @@ if TYPE_CHECKING:
 
 
 def prove(
-    suite: Annotated[str, typer.Argument(help="What is concealed: linear or nonlinear physics.")],
+    suite: Annotated[
+        str,
+        typer.Argument(
+            help="What is concealed: linear or nonlinear physics, or what the dissertation's models left out."
+        ),
+    ],
     cases: Annotated[int, typer.Option(help="How many cases to draw.")] = 40,
     seed: Annotated[
         int, typer.Option(help="Seed of the suite. 0 to 999 were used in development; take 1000 or above for a proof.")
@@ -41,12 +46,18 @@ def prove(
     limits and every failure. Stop it with Ctrl-C and run it again: it goes on where it stopped.
 
         labnnum prove linear --cases 400 --seed 4711 -o proof
+
+    The suite "dissertation" holds a fixed handful: the cantilevered beam and a frame of Atalla (1996), sections 5.6 and
+    5.7, each with one effect concealed.
     """
     from rich.console import Console
 
+    console = Console(stderr=True)
+    if suite == "dissertation":
+        _dissertation(console, out, jobs, tool, as_json)
+        return
     from sessions.prove.run import Order, start
 
-    console = Console(stderr=True)
     order = Order(suite, cases, seed, out, jobs, keep, tool)
     with console.status("drawing the suite"):
         tickets, sha256 = start(order)
@@ -61,6 +72,35 @@ def prove(
         _print_json(found)
     else:
         _show(Console(), found, out)
+
+
+def _dissertation(console: Console, out: Path, jobs: int, tool: str, as_json: bool) -> None:
+    import json
+
+    from rich.console import Console
+
+    from sessions.prove import dissertation
+
+    with _progress(console) as progress:
+        bars = _Bars(progress)
+        rows = dissertation.run(out, jobs, tool, step=lambda done, total: bars.step("diagnosing", done, total))
+    if as_json:
+        typer.echo(json.dumps(rows))
+        return
+    columns = ("case", "concealed", "visible", "said", "base/extended", "right")
+    shown = [
+        (
+            row["case"],
+            row["what"],
+            f"{row['visibility']:.1f}",
+            row["said"],
+            f"{row['base_over_extended']:.1f}",
+            "yes" if row["right"] else "NO",
+        )
+        for row in rows
+    ]
+    _table(Console(), "what the dissertation's models left out", columns, shown)
+    console.print(f"cases, answers and dissertation.json are in {out}", highlight=False)
 
 
 def _print_json(found: dict[str, Any]) -> None:
