@@ -245,7 +245,7 @@ class ChannelView:
 
     def _load(self, place: _Place) -> NDArray:
         if place.is_base:
-            return -place.sign * (self.matrices.M @ self.structure.rigid(self.theta))
+            return -place.sign * self.structure.base_load(self.theta)
         return place.sign * self.structure.participation(place.dof, self.theta)
 
     def _gains(self) -> tuple[NDArray, NDArray]:
@@ -315,9 +315,7 @@ class _Tangent:
                 self.rows[:, i] = place.sign * structure.participation_derivatives(place.dof, theta)
         for j, drive in enumerate(view.drives):
             if drive.is_base:
-                rigid, moved = structure.rigid(theta), structure.rigid_derivatives(theta)
-                for k, d in enumerate(self.derivatives):
-                    self.loads[k, :, j] = -drive.sign * (d.M @ rigid + m.M @ moved[k])
+                self.loads[:, :, j] = -drive.sign * structure.base_load_derivatives(theta)
             else:
                 self.loads[:, :, j] = drive.sign * structure.participation_derivatives(drive.dof, theta)
         self.transposed = solver(Matrices(m.M.T, m.C.T, m.K.T, m.D.T), view.omega) if _skew(m) else None

@@ -91,7 +91,7 @@ def system(structure: Structure, theta: ArrayLike, outputs: Sequence[Channel], i
         raise ChannelError("a base-driven structure takes one input: the acceleration of its base")
     rigid = np.asarray(structure.rigid(theta), float) if based else np.zeros(len(M))
     if based:
-        load = -(M @ rigid)[:, None] * inputs[0].sign
+        load = -np.asarray(structure.base_load(theta), float)[:, None] * inputs[0].sign
     else:
         load = np.stack([c.sign * _row(structure, c, theta) for c in inputs], axis=1)
     pu, pv, pa = np.moveaxis(

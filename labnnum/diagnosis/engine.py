@@ -33,7 +33,8 @@ class State:
     shapes; per parameter the derivatives of log frequency `d_log` (n_par, m), of the shapes as a mix of the shapes
     `mix` (n_par, m, m), of the loads `d_load` (n_par, m, n_in) and of the sensors `d_out` (n_par, m, n_out).
     `high_out` (n_out, h) and `high_in` (n_in, h): shares of the modes above the basis. With base motion `rigid` (n,)
-    is its influence and `rigid_out` (n_out,) what the sensors move with it.
+    is its influence and `rigid_out` (n_out,) what the sensors move with it; `sensors` (n_out, n) and `drives`
+    (n_in, n) are the participations.
     """
 
     theta: NDArray
@@ -49,6 +50,8 @@ class State:
     high_in: NDArray
     rigid: NDArray
     rigid_out: NDArray
+    sensors: NDArray
+    drives: NDArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +109,8 @@ class Engine:
         m = structure.matrices(self.theta0)
         self._basis(np.real(m.M), np.real(m.K))
         self.is_base = any(c.role == "base" for c in self.inputs)
+        self.held = held_motions(structure)
+        self.held_load = sum((h.free_load for h in self.held.values()), np.zeros(len(m.M)))
         if self.is_base and len(self.inputs) > 1:
             raise ModelError("base motion and force at the same time are not supported: import them as separate runs")
         self._cache: dict[bytes, State] = {}
@@ -195,9 +200,10 @@ class Engine:
         mix = np.array([b for _, b in mixed]).reshape(len(d), omega.size, omega.size)
         n_par = len(d)
         if self.is_base:
-            r = np.real(self.structure.rigid(theta))
-            load = -(shape.T @ (np.real(m.M) @ r))[:, None]
-            high_in = -((np.real(m.M) @ r) @ self.high)[None]
+            r, drives = np.real(self.structure.rigid(theta)), np.zeros((0, shape.shape[0]))
+            pushed = np.real(m.M) @ r + self.held_load
+            load = -(shape.T @ pushed)[:, None]
+            high_in = -(pushed @ self.high)[None]
             d_load = np.array([-(shape.T @ (x.M @ r))[:, None] for x in d]).reshape(n_par, -1, 1)
         else:
             r = np.zeros(shape.shape[0])
@@ -211,7 +217,7 @@ class Engine:
         turn = np.moveaxis(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
         return State(
             theta, omega, shape, out.T, load, d_log, mix, d_load + turn @ load, d_out + turn @ out.T,
-            sensors @ self.high, high_in, r, sensors @ r,
+            sensors @ self.high, high_in, r, sensors @ r, sensors, drives,
         )  # fmt: skip
 
     def participation(self, dof: str, theta: NDArray) -> NDArray[np.float64]:
@@ -246,7 +252,7 @@ class Engine:
             np.real(m.M), np.real(m.K), dofs, dict(self.structure.nodes), tuple(free_nodes), tuple(elements),
             tuple(supports), self.outputs + self.inputs, len(self.outputs), first.omega[self.band_modes],
             first.shape[:, self.band_modes], rigid, drive,
-            tuple(np.real(d.K) for d in self.structure.derivatives(self.theta0)), held_motions(self.structure),
+            tuple(np.real(d.K) for d in self.structure.derivatives(self.theta0)), self.held,
         )  # fmt: skip
 
     # ---------------------------------------------------------------- responses
@@ -315,7 +321,36 @@ class _Evaluation:
             self.g[at : at + t.width, at : at + t.width] = t.stiffness(s, self.point.terms[c], self.change)
             at += t.width
         self.inertial = np.concatenate([t.inertial for t, _ in self.acting])
-        self.rigid = columns.T @ st.rigid + (np.concatenate([t.offset for t, _ in self.acting]) if e.is_base else 0.0)
+        self.rigid = columns.T @ st.rigid
+        self._carried(columns)
+
+    def _own_loads(self, k: int) -> NDArray[np.float64]:
+        """Loads of base motion on the terms' own coordinates, (k,)."""
+        groups = [g for t, _ in self.acting for g in t.groups]
+        return np.concatenate([np.zeros(g.columns.shape[1]) if g.load is None else g.load for g in groups])
+
+    def _carried(self, columns: NDArray) -> None:
+        """What columns that carry the structure along move besides: sensors, inputs and each other's columns."""
+        e, st = self.e, self.state
+        n, k = columns.shape
+        static = np.zeros((n, k))
+        mass = np.zeros(k, bool)
+        at = 0
+        for t, _ in self.acting:
+            for g in t.groups:
+                width = g.columns.shape[1]
+                if g.carried is not None:
+                    static[:, at : at + width] = g.carried
+                    mass[at : at + width] = True
+                at += width
+        self.rises = None
+        if mass.any():
+            self.rises = np.where(mass[:, None], self.s**2, 1.0)
+            self.out_carried = st.sensors @ static  # (o, k)
+            self.in_carried = -self._own_loads(k)[:, None] if e.is_base else (st.drives @ static).T
+            tied = columns.T @ static
+            self.tied = np.where(mass[None, :] & ~mass[:, None], tied, 0.0)
+            self.tied = self.tied + self.tied.T
 
     def _remainder(self, left: NDArray, right: NDArray) -> NDArray:
         """Quasi-static share of the modes above the basis: (l, h) x (r, h) -> (l, r, n_f)."""
@@ -404,6 +439,12 @@ class _Evaluation:
             z0 = z0 + self._remainder(self.w_high, self.state.high_in)
         if self.e.is_base:
             z0 = z0 + ((self.rigid * self.inertial)[:, None] / self.s**2)[:, None, :]
+        if self.rises is not None:
+            r = self.rises
+            gw = r[:, None] * gw * r[None] - self.tied[:, :, None]
+            z0 = r[:, None] * z0 - self.in_carried[:, :, None]
+            h0 = h0 * r[None] - self.out_carried[:, :, None]
+            dw = dw * r[None]
         return h0, z0, gw, dw
 
     def _couple(self, q: NDArray, x: NDArray, p_out: NDArray) -> tuple[NDArray, ...]:
@@ -521,10 +562,11 @@ class _Evaluation:
             push = st.d_load[j][:, :, None] - stiffer[:, None] * q
             if z_in is not None and z_out is not None:
                 turned = self.w @ st.mix[j]  # derivative of the terms' motions, (k, m)
-                push = push - _dot(turned.T, _across(self.g, z_in))
+                rises = 1.0 if self.rises is None else self.rises[:, None]
+                push = push - _dot(turned.T, rises * _across(self.g, z_in))
             jac[j] = np.einsum("mof,mif->oif", p_out, push) + _dot(st.d_out[j].T, q)
             if z_in is not None and z_out is not None:
-                jac[j] -= _across(np.moveaxis(z_out, 0, 1), _across(self.g, _dot(turned, q)))
+                jac[j] -= _across(np.moveaxis(z_out, 0, 1), _across(self.g, rises * _dot(turned, q)))
                 for term, c, first, last in self._acting_columns():
                     slope = term.stiffness_slope(s, self.point.terms[c], self.change, j)
                     if slope is not None:

@@ -53,8 +53,12 @@ class Group:
     gain: NDArray[np.float64] | None = None
     """Relative change of the model's stiffness there with each parameter of the structure, (n_theta,)."""
 
-    offset: NDArray[np.float64] | None = None
-    """Motion of the columns with a unit motion of the base, beyond what wᵀr gives, (k,)."""
+    carried: NDArray[np.float64] | None = None
+    """Static motion R (n, k) of the structure with the law's own coordinates: the columns then are masses, act
+    through s^2, and motions are seen and driven through R besides (see `laws.Release`)."""
+
+    load: NDArray[np.float64] | None = None
+    """Load of base motion on the law's own coordinates beyond what the columns carry, (k,), in kg."""
 
     def law_at(self, change: NDArray | None) -> Law:
         """The law where the structure's parameters are `change` away from nominal."""
@@ -121,11 +125,6 @@ class Term:
         return (self.stiffness(s, p, change + step) - self.stiffness(s, p, change - step)) / (2 * reach)
 
     @property
-    def offset(self) -> NDArray[np.float64]:
-        """Motion of the columns with the base beyond their own, (k,)."""
-        return np.concatenate([np.zeros(g.columns.shape[1]) if g.offset is None else g.offset for g in self.groups])
-
-    @property
     def width(self) -> int:
         """Number of columns, k."""
         return sum(g.columns.shape[1] for g in self.groups)
@@ -180,17 +179,21 @@ class ChannelMechanism(Mechanism):
 class Held:
     """The motions that a support holds: directions, coupling to the free coordinates, own stiffness and mass.
 
-    `stiffness` and `mass`, (n, d), are K_fs and M_fs; `own_stiffness` and `own_mass`, (d, d), K_ss and M_ss; `gain`,
-    (n_theta,), the relative change of the stiffness with each parameter; `rigid`, (d,), what base motion moves.
+    `static`, (n, d), is the shape R that each motion gives the structure; `load`, (n, d), the mass coupling
+    M_ff R + M_fs; `stiffness` and `mass`, (d, d), what the structure opposes to the motions: K_red and M_red;
+    `gain`, (n_theta,), the relative change of that stiffness with each parameter; `free_load`, (n,), the mass by
+    which base motion of the held coordinates loads the free ones, M_fs r_s; `own_load`, (d,), what base motion loads
+    the motions with, beyond L' r_f.
     """
 
     axes: tuple[str, ...]
+    static: NDArray[np.float64]
+    load: NDArray[np.float64]
     stiffness: NDArray[np.float64]
     mass: NDArray[np.float64]
-    own_stiffness: NDArray[np.float64]
-    own_mass: NDArray[np.float64]
     gain: NDArray[np.float64]
-    rigid: NDArray[np.float64]
+    free_load: NDArray[np.float64]
+    own_load: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,6 +139,9 @@ class ExtendedStructure(Structure):
             tail = np.zeros(n, np.result_type(p))
             if added.term.data.get("extra_mode"):
                 tail[-1] = self._residue(added, p, dof)
+            elif any(g.carried is not None for g in added.term.groups):
+                moved = [row[0][: g.carried.shape[0]] @ g.carried for g in added.term.groups if g.carried is not None]
+                tail = np.concatenate(moved)
             row.append(tail)
         return np.concatenate(row)
 
@@ -163,6 +166,24 @@ class ExtendedStructure(Structure):
             if added.term.data.get("extra_mode"):
                 tail.append(-1.0)
         return np.concatenate([inner, np.array(tail, dtype=inner.dtype)]) if tail else inner
+
+    def base_load(self, theta: NDArray) -> NDArray:
+        """Mass by which base motion loads each coordinate, what the supports' own coordinates carry included."""
+        out = np.array(self.matrices(theta).M @ self.rigid(theta))
+        n = len(self._held_load)
+        out[:n] += self._held_load
+        at = n
+        for added, count in self._internal():
+            for g in added.term.groups:
+                if g.load is not None:
+                    out[at : at + len(g.load)] += g.load
+            at += count
+        return out
+
+    @cached_property
+    def _held_load(self) -> NDArray[np.float64]:
+        held = held_motions(self.inner)
+        return sum((h.free_load for h in held.values()), np.zeros(len(self.inner.matrices(self.inner.nominal).M)))
 
     def chain(self, channel: Channel, frequency: NDArray, theta: NDArray) -> NDArray[np.complex128]:
         """Product of the channel faults on this channel."""

@@ -139,15 +139,22 @@ def held_motions(structure: Structure) -> dict[str, Held]:
         rest = np.setdiff1d(np.arange(len(mass)), rows)
         if not rows or rest.size != n:
             continue
-        k = stiffness[np.ix_(rest, rows)]
-        size = max(float(np.sum(k * k)), 1e-300)
-        gain = [float(np.sum(np.real(d.K)[np.ix_(rest, rows)] * k)) / size for d in free.derivatives(theta)]
-        moved = np.real(free.rigid(theta))[rows] if structure.base else np.zeros(len(rows))
-        inner = np.ix_(rows, rows)
-        out[support] = Held(
-            tuple(d.partition(":")[2] for d in extra), k, mass[np.ix_(rest, rows)], stiffness[inner], mass[inner],
-            np.array(gain), moved,
-        )  # fmt: skip
+        shape = np.zeros((len(mass), len(rows)))
+        shape[rows] = np.eye(len(rows))
+        shape[rest] = -np.linalg.solve(stiffness[np.ix_(rest, rest)], stiffness[np.ix_(rest, rows)])
+        own = shape.T @ stiffness @ shape
+        own[np.abs(own) < 1e-7 * np.abs(stiffness[np.ix_(rows, rows)])] = 0.0  # free of others, it moves as a body
+        size = float(np.sum(own * own))
+        gain = [float(np.sum((shape.T @ np.real(d.K) @ shape) * own)) / size if size else 0.0
+                for d in free.derivatives(theta)]  # fmt: skip
+        axes = tuple(d.partition(":")[2] for d in extra)
+        moved = np.real(free.rigid(theta)) if structure.base else np.zeros(len(mass))
+        pushed = mass @ moved
+        load = (mass @ shape)[rest]
+        free_load = mass[np.ix_(rest, rows)] @ moved[rows]
+        own_load = shape.T @ pushed - load.T @ moved[rest]
+        whole = shape.T @ mass @ shape
+        out[support] = Held(axes, shape[rest], load, own, whole, np.array(gain), free_load, own_load)
     return out
 
 

@@ -51,16 +51,10 @@ class JointStiffness(Mechanism):
             )
             if term is not None:
                 yield term
-            yield from self._hinges(site, place, index, k, directions, gain)
+            yield from self._hinges(site, place, index, k, directions)
 
     def _hinges(
-        self,
-        site: Site,
-        place: Place,
-        index: list[int],
-        k: np.ndarray,
-        directions: list[str],
-        gain: np.ndarray,
+        self, site: Site, place: Place, index: list[int], k: np.ndarray, directions: list[str]
     ) -> Iterable[Term]:
         half = len(directions) // 2
         for axis in ROTATIONS:
@@ -79,7 +73,7 @@ class JointStiffness(Mechanism):
                 column = np.zeros((site.stiffness.shape[0], 1))
                 column[index, 0] = load / kappa
                 law = Compliance(kappa, ("compliance",), ("rad/(N*m)",))
-                term = scalar_term(self, site, place, law, column, variant=variant, gain=gain)
+                term = scalar_term(self, site, place, law, column, variant=variant)
                 if term is not None:
                     yield term
 

@@ -307,65 +307,56 @@ class Compliance(Law):
 @final
 @dataclass(frozen=True, eq=False)
 class Release(Law):
-    """Held motions q of a support given compliances: Z_ff - Z_fs E Z_sf, E = C (I + Z_ss C)^-1, Z = K + s^2 M.
+    """Held motions q of a support given compliances c: between q and the base stands (1 + i eta) / c.
 
-    `stiffness` and `mass`, (d, d), are K_ss and M_ss of the d motions. The columns that it acts on are K_fs and then
-    M_fs, (n, 2 d); `factor` scales the stiffness among them. Source: dynamic condensation of q from the free
-    structure's equations, with C^-1 between q and the base.
+    With u = y + R q, R the static shape of q, the free coordinates y and q are coupled by mass alone (Craig and
+    Bampton, 1968): columns L = M_ff R + M_fs, (n, d), act on y with s^2 L q, and q has K_red = K_ss + K_sf R and
+    M_red = R' M_ff R + R' M_fs + M_sf R + M_ss, (d, d). Condensed on the columns' motion s^2 L' y the law is
+    -E, E = C (I + (K_red + s^2 M_red) C)^-1, C = diag(c) / (1 + i eta). The last parameter is eta. `factor` scales
+    K_red.
     """
 
     stiffness: NDArray[np.float64]
     mass: NDArray[np.float64]
-    names: tuple[str, ...] = ("compliance",)
-    units: tuple[str, ...] = ("m/N",)
+    names: tuple[str, ...] = ("compliance", "loss_factor")
+    units: tuple[str, ...] = ("m/N", "1")
     factor: Any = 1.0
     inertial: bool = True  # type: ignore[misc]
 
-    def _flexibility(self, s: NDArray, p: NDArray) -> tuple[NDArray, NDArray]:
-        """E and (I + C Z_ss)^-1, each (n_f, d, d)."""
+    def _parts(self, s: NDArray, p: NDArray) -> tuple[NDArray, NDArray]:
+        """C, (d, d), and (I + C Z)^-1, (n_f, d, d)."""
+        c = np.diag(np.asarray(p[:-1])) / (1 + 1j * p[-1])
         z = self.factor * self.stiffness + (s**2)[:, None, None] * self.mass
-        c = np.diag(np.asarray(p))
-        one = np.eye(len(c))
-        left = np.linalg.inv(one + c @ z)
-        return left @ c, left
-
-    def _spread(self, s: NDArray, e: NDArray) -> NDArray:
-        """-[K M] E [K M]' in the columns, with their factors: (n_f, d, d) to (2 d, 2 d, n_f)."""
-        x = (s**2)[:, None, None]
-        a = self.factor
-        whole = np.block([[a * a * e, a * x * e], [a * x * e, x * x * e]])
-        return -np.moveaxis(whole, 0, 2)
+        return c, np.linalg.inv(np.eye(len(c)) + c @ z)
 
     def value(self, s: NDArray, p: NDArray) -> NDArray:
-        """G at every line, shape (2 d, 2 d, n_f)."""
-        return self._spread(s, self._flexibility(s, p)[0])
+        """-E at every line, shape (d, d, n_f)."""
+        c, left = self._parts(s, p)
+        return -np.moveaxis(left @ c, 0, 2)
 
     def derivative(self, s: NDArray, p: NDArray) -> NDArray:
-        """dG/dc_i, shape (d, 2 d, 2 d, n_f)."""
-        left = self._flexibility(s, p)[1]
-        slopes = [np.einsum("fa,fb->fab", left[:, :, i], left[:, :, i]) for i in range(len(self.stiffness))]
-        return np.stack([self._spread(s, e) for e in slopes])
+        """-dE/dc_i and -dE/deta, shape (d + 1, d, d, n_f)."""
+        c, left = self._parts(s, p)
+        lossy = 1 + 1j * p[-1]
+        slopes = [np.einsum("fa,fb->abf", left[:, :, i], left[:, :, i]) for i in range(len(c))]
+        return np.stack([*(-x / lossy for x in slopes), np.moveaxis(1j * left @ (left @ c) / lossy, 0, 2)])
 
     def local(self, p: NDArray) -> Local:
-        """The released motions as internal coordinates; a compliance of zero is held by a spring stiff beyond doubt."""
-        d = len(self.stiffness)
-        size = 3 * d
-        mass, stiffness = np.zeros((2, size, size), np.result_type(p, self.factor, float))
-        inner = slice(2 * d, None)
-        for i in range(d):
-            stiffness[i, 2 * d + i] = stiffness[2 * d + i, i] = self.factor
-            mass[d + i, 2 * d + i] = mass[2 * d + i, d + i] = 1.0
-        tiny = 1e-9 / np.diag(self.stiffness)
-        held = np.array([1.0 / c if abs(c) > t else 1.0 / t for c, t in zip(p, tiny, strict=True)])
-        stiffness[inner, inner] = self.factor * self.stiffness + np.diag(held)
-        mass[inner, inner] = self.mass
-        zero = np.zeros_like(mass)
-        return mass, zero, stiffness, zero
+        """The columns of y, and q; a compliance of zero is held by a spring stiff beyond doubt."""
+        d = len(self.mass)
+        mass, stiffness, loss = np.zeros((3, 2 * d, 2 * d), np.result_type(p, self.factor, float))
+        mass[:d, d:] = mass[d:, :d] = np.eye(d)
+        mass[d:, d:] = self.mass
+        tiny = 1e-12 / np.maximum(np.diag(self.mass), 1e-300)
+        held = np.diag([1.0 / c if abs(c) > t else 1.0 / t for c, t in zip(p[:-1], tiny, strict=True)])
+        stiffness[d:, d:] = self.factor * self.stiffness + held
+        loss[d:, d:] = p[-1] * held
+        return mass, np.zeros_like(mass), stiffness, loss
 
     @property
     def n_internal(self) -> int:
         """The released motions."""
-        return len(self.stiffness)
+        return len(self.mass)
 
     @property
     def joint(self) -> bool:

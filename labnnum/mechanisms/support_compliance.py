@@ -65,15 +65,15 @@ class SupportCompliance(Mechanism):
 
 def _scale(site: Site, held: Held, i: int) -> float:
     """Compliance that changes some mode's squared frequency by 100 % at first order, as a first guess."""
-    load = (held.stiffness[:, i] @ site.shape - site.omega**2 * (held.mass[:, i] @ site.shape)) ** 2
+    load = (site.omega**2 * (held.load[:, i] @ site.shape)) ** 2
     most = float(np.max(load / site.omega**2, initial=0.0))
     return 1.0 / most if most > 0 else np.inf
 
 
 def _tied(held: Held, i: int, j: int) -> bool:
-    """Whether two held motions load each other, short of being one."""
-    k = held.own_stiffness
-    return bool(0.05 < abs(k[i, j]) / np.sqrt(k[i, i] * k[j, j]) < 0.9995)
+    """Whether two held motions load each other's inertia, short of being one."""
+    m = held.mass
+    return bool(0.05 < abs(m[i, j]) / np.sqrt(m[i, i] * m[j, j]) < 0.9995)
 
 
 def _term(
@@ -83,13 +83,13 @@ def _term(
     turning = [held.axes[i] in ROTATIONS for i in pick]
     units = tuple("rad/(N*m)" if turn else "m/N" for turn in turning)
     names = ("compliance",) if len(pick) == 1 else ("compliance", "compliance_turn")
+    names, units = (*names, "loss_factor"), (*units, "1")
     own = np.ix_(pick, pick)
-    law = Release(held.own_stiffness[own], held.own_mass[own], names, units)
-    columns = np.hstack([held.stiffness[:, pick], held.mass[:, pick]])
-    # as in the model itself, base motion loads the free coordinates only
-    offset = np.concatenate([held.own_stiffness[pick] @ held.rigid, np.zeros(len(pick))])
+    law = Release(held.stiffness[own], held.mass[own], names, units)
     scale = np.array([scales[i] for i in pick])
-    parameters = tuple(Parameter(n, 0.0, 0.0, 300.0 * x, u) for n, x, u in zip(names, scale, units, strict=True))
-    group = Group(law, columns, 0, held.gain, offset)
+    own_parameters = [Parameter(n, 0.0, 0.0, 300.0 * x, u) for n, x, u in zip(names[:-1], scale, units, strict=False)]
+    parameters = (*own_parameters, Parameter("loss_factor", 0.0, 0.0, 0.5, "1"))
+    starts = np.column_stack([sizes * scale, np.full(len(sizes), 0.01)])
+    group = Group(law, held.load[:, pick], 0, held.gain, held.static[:, pick], held.own_load[pick])
     variant = " and ".join(held.axes[i] for i in pick)
-    return Term(mechanism, place, parameters, sizes * scale, (group,), variant)
+    return Term(mechanism, place, parameters, starts, (group,), variant)

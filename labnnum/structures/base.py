@@ -37,7 +37,7 @@ class Structure(ABC):
 
     Coordinates u (n) obey M u'' + C u' + (K + iD) u = sum_j participation(dof_j) f_j. The motion at a degree of
     freedom is participation(dof) @ u. Under base excitation u is relative to the base, the load is
-    -M rigid() a_base, and absolute motion adds that of the base.
+    -base_load() a_base, M rigid() unless overridden, and absolute motion adds that of the base.
 
     `matrices`, `participation` and `rigid` must be analytic in theta and accept complex theta: derivatives are
     taken by the complex step, exact to rounding (Squire and Trapp, 1998).
@@ -89,6 +89,10 @@ class Structure(ABC):
         """Coordinates u, shape (n,), when the structure follows a unit motion of the base."""
         raise ModelError(f"{type(self).__name__} has no base excitation")
 
+    def base_load(self, theta: NDArray) -> NDArray:
+        """Mass, shape (n,), by which a unit acceleration of the base loads the coordinates, with a minus sign."""
+        return self.matrices(theta).M @ self.rigid(theta)
+
     def chain(self, channel: Channel, frequency: NDArray, theta: NDArray) -> NDArray[np.complex128]:
         """Factor of the measurement chain on a channel, shape (n_f,); 1 unless a channel fault is modelled."""
         return np.ones(frequency.shape, complex)
@@ -118,6 +122,11 @@ class Structure(ABC):
     def rigid_derivatives(self, theta: NDArray) -> NDArray[np.float64]:
         """Exact derivatives of `rigid`, shape (n_parameters, n)."""
         rows = [np.imag(self.rigid(_stepped(theta, j))) / STEP for j in range(len(self.parameters))]
+        return np.array(rows).reshape(len(rows), -1)
+
+    def base_load_derivatives(self, theta: NDArray) -> NDArray[np.float64]:
+        """Exact derivatives of `base_load`, shape (n_parameters, n)."""
+        rows = [np.imag(self.base_load(_stepped(theta, j))) / STEP for j in range(len(self.parameters))]
         return np.array(rows).reshape(len(rows), -1)
 
     def require_dof(self, dof: str) -> int:

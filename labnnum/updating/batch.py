@@ -364,7 +364,8 @@ def _setting(
 ) -> tuple[Setting | None, ChannelView]:
     """The family with rows and loads; None where polynomials or fixed places do not describe the structure."""
     view = ChannelView(structure, structure.nominal, lines, outputs, inputs)
-    if type(structure).chain is not Structure.chain or not structure.parameters:
+    plain = type(structure).chain is Structure.chain and type(structure).base_load is Structure.base_load
+    if not plain or not structure.parameters:
         return None, view
     other = structure.nominal + 0.3 * (bounds(structure.parameters)[1] - structure.nominal) + 1e-3
     places = [c.dof for c in (*outputs, *inputs) if c.role != "base"]
