@@ -158,6 +158,7 @@ def multisine(
     n_periods: int = 1,
     phase: Literal["random", "schroeder"] = "random",
     shape: Shape | None = None,
+    grid_seed: int | None = None,
 ) -> Drive:
     r"""Multisine with detection lines, n_periods periods.
 
@@ -176,6 +177,8 @@ def multisine(
         Random phases suit linearisation; Schroeder's give a low crest factor.
     shape : callable, optional
         Relative amplitude at frequencies in Hz; flat if not given.
+    grid_seed : int, optional
+        Which lines are left out; as `seed` if not given. Realisations that shall be averaged need the same lines.
 
     Notes
     -----
@@ -200,7 +203,7 @@ def multisine(
     if detection < 0 or detection == 1:
         raise EstimationError(f"detection is {detection}: give 0, or 2 or more lines to a group")
     rng = np.random.default_rng(seed)
-    lines, withheld = _withhold(candidates, detection, rng)
+    lines, withheld = _withhold(candidates, detection, rng if grid_seed is None else np.random.default_rng(grid_seed))
     if not lines.size:
         raise EstimationError(f"band {band[0]:g} to {band[1]:g} Hz holds no line to excite; lengthen the period")
     amplitude = np.ones(lines.size) if shape is None else np.asarray(shape(lines * rate / period), float)

@@ -19,9 +19,9 @@ from sessions.devices import devices
 from sessions.display import Display, Quiet
 from sessions.guard import Guard
 from sessions.hammer import HammerRun
-from sessions.items import Item, items, runs_of
+from sessions.items import Item, items, runs_of, waveform
 from sessions.recorder import Recorder
-from sessions.reprocess import FrfSettings, estimate
+from sessions.reprocess import FrfSettings, estimate, played_lines
 from sessions.rig import Rig
 from sessions.runs import Run
 from sessions.shaker import ShakerRun, SteppedRun
@@ -173,6 +173,8 @@ def _begin(session: Session, rig: Rig, item: Item) -> Run:
     e = rig.toml.excitation
     info: dict[str, Any] = {"item": item.key, "excitation": e.model_dump(), "realisation": item.realisation}
     info["seed"] = e.seed + item.realisation
+    if e.periodic:
+        info["lines"] = waveform(e, rig.rate, item.realisation).lines
     info |= run_info(rig.calibration)
     return session.start_run(
         item.stored,
@@ -268,7 +270,7 @@ def _estimates(name: str, runs: Sequence[Run], rig: Rig) -> dict[str, Frf]:
     recordings = [r.recording() for r in runs]
     if rig.toml.excitation.kind == "stepped sine":
         return _stepped(name, runs, recordings)
-    return {name: without_inputs(estimate(recordings, settings(rig)), runs)}
+    return {name: without_inputs(estimate(recordings, settings(rig), played_lines(runs)), runs)}
 
 
 def settings(rig: Rig) -> FrfSettings:

@@ -139,7 +139,7 @@ def runs_of(item: Item, runs: Sequence[Run]) -> list[Run]:
 def waveform(excitation: ExcitationTable, rate: float, realisation: int) -> Drive:
     """What is played: samples of unit RMS; one period where there is one, else the whole duration and its lead.
 
-    Each realisation has its own seed, `excitation.seed` + realisation.
+    Each realisation has its own seed, `excitation.seed` + realisation; all have the same detection lines.
     """
     e = excitation
     band = (e.low, e.high if e.high is not None else 0.4 * rate)
@@ -152,7 +152,7 @@ def waveform(excitation: ExcitationTable, rate: float, realisation: int) -> Driv
     if e.kind == "periodic random":
         return periodic_random(rate, e.period, band, 1.0, seed)
     if e.kind == "multisine":
-        return multisine(rate, e.period, band, 1.0, seed, odd=e.odd, detection=e.detection)
+        return multisine(rate, e.period, band, 1.0, seed, odd=e.odd, detection=e.detection, grid_seed=e.seed)
     if e.kind == "chirp":
         return chirp(rate, e.period, band, 1.0)
     raise ConfigError(f"excitation.kind {e.kind!r} is not played from samples")

@@ -13,6 +13,7 @@ from labnnum.estimators import H1, H2, Hits, Hv, Welch, periodic
 from labnnum.frf import Frf
 from labnnum.recording import Recording
 from sessions.calibration import without_inputs
+from sessions.runs import Run
 from sessions.screen import require_unclipped
 from sessions.store import Session
 
@@ -122,8 +123,18 @@ def _usual_segment(recordings: Sequence[Recording]) -> int:
     return 2 ** int(np.log2(wanted))
 
 
-def estimate(recordings: Sequence[Recording], settings: FrfSettings) -> Frf:
+def played_lines(runs: Sequence[Run]) -> tuple[int, ...] | None:
+    """Lines, multiples of rate / period, that were played in every run; None where a run does not know."""
+    told = [run.info.get("lines") for run in runs]
+    if not told or any(not lines for lines in told):
+        return None
+    return tuple(sorted(set.intersection(*(set(lines) for lines in told if lines))))
+
+
+def estimate(recordings: Sequence[Recording], settings: FrfSettings, lines: Sequence[int] | None = None) -> Frf:
     """One FRF from all of `recordings`, which belong together.
+
+    `lines` that were played, where the bench knows them; else periodic estimates find them from the inputs.
 
     Raises
     ------
@@ -139,7 +150,7 @@ def estimate(recordings: Sequence[Recording], settings: FrfSettings) -> Frf:
     done = chosen(recordings, settings)
     if done.estimator == "periodic":
         _require_period(recordings)
-        return periodic(list(recordings))
+        return periodic(list(recordings), None if lines is None else np.array(lines))
     if done.estimator not in ESTIMATORS:
         raise EstimationError(f"estimator {done.estimator!r} is not one of auto, {', '.join(ESTIMATORS)}, periodic")
     if (done.decay or done.gate) and not done.hits:
@@ -218,7 +229,8 @@ def reprocess(
     out = []
     for i, batch in enumerate(batches):
         used = [n for n, r in recordings.items() if any(r is b for b in batch)]
-        frf = without_inputs(estimate(batch, settings), [known[n] for n in used])
+        mine = [known[n] for n in used]
+        frf = without_inputs(estimate(batch, settings, played_lines(mine)), mine)
         said = {k: v for k, v in asdict(chosen(batch, settings)).items() if v is not None}
         told = {"runs": used, "requested": said, **_level(batch), **_left_out(batch, settings)}
         out.append((session.add_frf(frf, told, name=_title(used, batch)), frf))

@@ -14,6 +14,7 @@ from drivers.simulated import Drive, Input, Operator, Player, SimulatedBench, So
 from drivers.simulated.filters import HALF
 from drivers.trigger import Trigger
 from labnnum.errors import ConfigError, EstimationError
+from labnnum.excitation import Drive as Wave
 from labnnum.nonlinear import Element
 from labnnum.recording import Channel
 from labnnum.response import modes
@@ -73,6 +74,7 @@ def simulate_run(
     *,
     level: float,
     hits: int = 5,
+    realisation: int = 0,
     label: str = "",
     elements: Sequence[Element] = (),
     progress: Progress | None = None,
@@ -97,6 +99,8 @@ def simulate_run(
         RMS of the drive's force or acceleration; mean peak of a hammer's blows.
     hits : int
         Blows of a hammer.
+    realisation : int
+        Which of the excitation's waveforms is played.
     elements : sequence of Element
         Nonlinear forces besides.
     progress : callable, optional
@@ -110,7 +114,7 @@ def simulate_run(
         If the excitation cannot be played.
     """
     theta = np.asarray(theta, float)
-    source, period, lead, frames = _source(structure, theta, excitation, bench, drive, level, hits)
+    source, wave, lead, frames = _source(structure, theta, excitation, bench, drive, level, hits, realisation)
     inputs = with_chain(structure, theta, inputs)
     made = _Made(structure, theta, drive, source, bench, tuple(elements))
     inputs = _ranged(made, inputs, lead, frames)
@@ -119,11 +123,11 @@ def simulate_run(
         [i.channel for i in inputs],
         bench.rate,
         level=level,
-        period=period,
+        period=0 if wave is None else wave.period,
         label=label,
         unit="V" if any(i.channel.sensitivity is not None for i in inputs) else "SI",
         full_scale=[i.full_scale for i in inputs],
-        info={"simulated": True, "excitation": excitation.model_dump(), "seed": bench.seed},
+        info=_info(excitation, bench, realisation, wave),
     )
     trigger = _Blows(run, inputs, bench, level) if excitation.kind == "hammer" else None
     for block in _blocks(digitiser, lead, frames):
@@ -135,6 +139,11 @@ def simulate_run(
     if trigger is not None:
         trigger.finish(hits)
     run.finish()
+
+
+def _info(e: ExcitationTable, bench: Bench, realisation: int, wave: Wave | None) -> dict[str, Any]:
+    told = {"simulated": True, "excitation": e.model_dump(), "realisation": realisation, "seed": bench.seed}
+    return told | ({"lines": wave.lines} if wave is not None and wave.period else {})
 
 
 def default_inputs(structure: Structure, drive: Channel, responses: Sequence[str] = ()) -> list[Channel]:
@@ -152,20 +161,21 @@ def default_inputs(structure: Structure, drive: Channel, responses: Sequence[str
 
 
 def _source(
-    structure: Structure, theta: NDArray, e: ExcitationTable, bench: Bench, drive: Drive, level: float, hits: int
-) -> tuple[Source, int, int, int]:
-    """What plays, its period, frames to let pass first, and frames to record."""
+    structure: Structure, theta: NDArray, e: ExcitationTable, bench: Bench, drive: Drive, level: float, hits: int,
+    realisation: int,
+) -> tuple[Source, Wave | None, int, int]:  # fmt: skip
+    """What plays, its waveform if it has one, frames to let pass first, and frames to record."""
     if e.kind == "hammer":
         frames = round((hits * bench.interval * 1.1 + 1.0) * bench.rate)
-        return Operator(bench.tip, bench.interval, level / drive.gain, lead=0.5, seed=bench.seed), 0, 0, frames
-    wave = waveform(e, bench.rate, 0)
+        return Operator(bench.tip, bench.interval, level / drive.gain, lead=0.5, seed=bench.seed), None, 0, frames
+    wave = waveform(e, bench.rate, realisation)
     player = Player()
     player.play(wave.samples, repeat=True, gain=level / drive.gain)
     if wave.period:
         lead = -(-round(settling(structure, theta) * bench.rate) // wave.period) * wave.period
-        return player, wave.period, lead, e.periods * wave.period
+        return player, wave, lead, e.periods * wave.period
     lead = e.period if e.kind == "burst random" else round(settling(structure, theta) * bench.rate)
-    return player, 0, lead, round(e.duration * bench.rate)
+    return player, wave, lead, round(e.duration * bench.rate)
 
 
 def settling(structure: Structure, theta: ArrayLike) -> float:

@@ -86,17 +86,17 @@ def simulate(
     elements = [_element(structure, theta, text) for text in nonlinear or []]
     levels = level or [100.0 if excitation == "hammer" else 1.0]
     runs = [(one, r) for one in levels for r in range(realisations)]
+    table = _excitation(excitation, duration, periods, period, detection, low, high, seed)
     with (
         _no_remains(output),
         create_session(output, model_text=model.read_text(encoding="utf-8")) as session,
         Progress(console=_stderr(), transient=True) as bar,
     ):
-        for number, (one, realisation) in enumerate(runs):
+        for number, (one, again) in enumerate(runs):
             task = bar.add_task(f"level {one:g}", total=1.0)
-            table = _excitation(excitation, duration, periods, period, detection, low, high, seed + 7919 * number)
             simulate_run(
                 session, structure, theta, inputs, Drive(channel), table, replace(bench, seed=seed + 104729 * number),
-                level=one, hits=hits, label=f"level {one:g} #{realisation + 1}", elements=elements,
+                level=one, hits=hits, realisation=number, label=f"level {one:g} #{again + 1}", elements=elements,
                 progress=lambda done, total, task=task: bar.update(task, completed=done / total),
             )  # fmt: skip
     told = {

@@ -15,8 +15,9 @@ from labnnum.response import frf
 from sessions import bench
 from sessions.bench import measure
 from sessions.display import Quiet
-from sessions.items import items
+from sessions.items import items, waveform
 from sessions.model import read_model
+from sessions.reprocess import FrfSettings, reprocess
 from sessions.rig import parse_rig
 from sessions.runs import Run
 from sessions.store import open_session
@@ -249,6 +250,22 @@ def test_levels_are_held_and_the_frf_is_the_structures(tmp_path, place, shaker):
             rms = run.read(held.start, held.stop)[0].std()
         assert rms == pytest.approx(level, rel=0.05)
         assert held.stop - held.start == 5 * 1024
+
+
+def test_realisations_share_their_lines_and_all_of_them_are_estimated(tmp_path):
+    """Lines are known from what was played: none is lost where the force sinks into the noise at a resonance."""
+    rig = shaker_rig(tmp_path, ("levels = [0.5, 2.0]", "levels = [1.0]\nrealisations = 3\nodd = true\ndetection = 4"))
+    path = tmp_path / "s.h5"
+    frf = measure(rig, path).frfs["multisine 1"]
+    played = [waveform(rig.toml.excitation, rig.rate, r) for r in range(3)]
+    for drive in played:
+        np.testing.assert_array_equal(drive.lines, played[0].lines)
+    assert not np.array_equal(played[0].samples, played[1].samples)
+    step = rig.rate / rig.toml.excitation.period
+    np.testing.assert_allclose(frf.frequency, played[0].lines * step)
+    with open_session(path, "a") as session:
+        ((_, again),) = reprocess(session, FrfSettings())
+    np.testing.assert_array_equal(again.value, frf.value)
 
 
 @pytest.mark.parametrize("kind", ["random", "burst random", "periodic random", "chirp"])
