@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.bands import Band
+from labnnum.errors import ConfigError
+from labnnum.parameters import Parameter
+from labnnum.structures.duffing import Duffing
 from labnnum.structures.examples import EXAMPLES, Example, truck
+from labnnum.updating.batch import FrfBatch
+from labnnum.updating.many import ManyFrfs
+from labnnum.updating.sweeps import ScalesBatch, SweepBatch
 
 LINES = 60
 """Lines in each band; the dissertation does not print its own."""
@@ -26,32 +32,43 @@ class Case:
     ----------
     name : str
     title : str
-    example : Example
-        Structure, channels and bands.
+    solver : callable
+        Makes what computes its FRFs.
+    labels : sequence of str
+        Output and input of every FRF, outputs slowest.
+    bands : sequence of Band
+    frequency : ndarray, shape (n_f,)
+        Lines in Hz.
+    samples : int
+        Training samples that the dissertation used.
     published : mapping
         Parameter -> (mean, largest) error in percent.
     where : str
         Section or table that prints it.
     features : str
         What our network sees.
-    weights : mapping
-        Factor on integrals (real, imaginary) per band that the dissertation used, where it used any.
-    nominal_fails : bool
-        Whether starts from nominal values are counted beside.
     """
 
     name: str
     title: str
-    example: Example
+    solver: Callable[[], ManyFrfs]
+    labels: tuple[str, ...]
+    bands: tuple[Band, ...]
+    frequency: NDArray[np.float64]
+    samples: int
     published: Published
     where: str
     features: str = "log"
-    bands: tuple[Band, ...] = field(default=())
 
-    @property
-    def lines(self) -> NDArray[np.float64]:
-        """Lines in Hz, `LINES` in each band."""
-        return np.unique(np.concatenate([np.linspace(b.low, b.high, LINES) for b in self.example.bands]))
+
+def of_example(name: str, title: str, e: Example, published: Published, where: str, features: str = "log") -> Case:
+    """The case of an example with a linear structure."""
+    lines = np.unique(np.concatenate([np.linspace(b.low, b.high, LINES) for b in e.bands]))
+    labels = tuple(f"{o.name} / {i.name}" for o in e.outputs for i in e.inputs)
+    return Case(
+        name, title, lambda: FrfBatch.of(e.structure, lines, e.outputs, e.inputs), labels, tuple(e.bands), lines,
+        e.samples, published, where, features,
+    )  # fmt: skip
 
 
 NOT = float("nan")
@@ -61,9 +78,25 @@ def _truck(updated: tuple[str, ...], n_outputs: int, published: Published, where
     base = EXAMPLES["truck"]()
     example = Example(truck(updated), base.outputs[:n_outputs], base.inputs, base.bands, base.samples)
     frfs = "" if len(updated) < 5 else f"-{n_outputs}frf"
+    free = f"{len(updated)} parameter{'s' if len(updated) > 1 else ''}"
+    title = f"Truck, {free}, {n_outputs} FRF{'s' if n_outputs > 1 else ''}"
+    return of_example(f"truck-{len(updated)}{frfs}", title, example, published, where)
+
+
+def _duffing(scales: bool) -> Case:
+    """Forward and backward sweep; by the dissertation's multiple scales, or by harmonic balance.
+
+    eps and the lines are ours: the dissertation prints neither.
+    """
+    oscillator = Duffing(epsilon=0.1)
+    hertz = (1 + 0.1 * np.linspace(-1.0, 2.5, LINES + 1)) / (2 * np.pi)
+    bands = tuple(Band(float(hertz[a]), float(hertz[b])) for a, b in ((0, 20), (20, 40), (40, 60)))
+    make = (lambda: ScalesBatch(oscillator, hertz)) if scales else (lambda: SweepBatch(oscillator, hertz))
     return Case(
-        f"truck-{len(updated)}{frfs}", f"Truck, {len(updated)} parameters, {n_outputs} FRF", example, published, where
-    )
+        "duffing-scales" if scales else "duffing",
+        f"Duffing oscillator, {'multiple scales' if scales else 'harmonic balance'}",
+        make, ("forward", "backward"), bands, hertz, 300, _zip("mu alpha", "0.47 1.43", "6.5 19.9"), "section 5.5",
+    )  # fmt: skip
 
 
 def _zip(names: str, mean: str, most: str = "") -> dict[str, tuple[float, float]]:
@@ -80,7 +113,8 @@ def _cases() -> dict[str, Callable[[], Case]]:
     def named(key: str, title: str, published: Published, where: str, samples: int = 0, features: str = "log") -> Case:
         e = EXAMPLES[key]()
         e = Example(e.structure, e.outputs, e.inputs, e.bands, samples or e.samples)
-        return Case(key if not samples else f"{key}-{samples}", title, e, published, where, features)
+        name = key.replace("yang-brown", "yang") + (f"-{samples}" if samples else "")
+        return of_example(name, title, e, published, where, features)
 
     return {
         "truck-1": lambda: _truck(("m3",), 1, _zip("m3", "0.0029"), "section 4.7"),
@@ -121,8 +155,29 @@ def _cases() -> dict[str, Callable[[], Case]]:
                               "table 5.5"),
         "frame": lambda: named("frame", "Flexible frame of 96 degrees of freedom",
                                _zip("L m_bp alpha beta", "1.11 11.7 10.5 54.9", "8.19 108 231 476"), "table 5.7"),
+        "duffing-scales": lambda: _duffing(True),
+        "duffing": lambda: _duffing(False),
     }  # fmt: skip
 
 
 CASES: dict[str, Callable[[], Case]] = _cases()
-"""Name -> case of a linear structure; the Duffing oscillator stands apart."""
+"""Name -> case."""
+
+
+def parameters_of(case: Case) -> tuple[Parameter, ...]:
+    """Free parameters of a case."""
+    return case.solver().parameters
+
+
+def chosen(example: str) -> tuple[str, ...]:
+    """Names of the cases that a word means: all for "", one by its name, all of an example by its beginning.
+
+    Raises
+    ------
+    ConfigError
+        If nothing is called so.
+    """
+    names = tuple(n for n in CASES if not example or n == example or n.startswith(f"{example}-"))
+    if not names:
+        raise ConfigError(f"reproduce: there is no example {example!r}; there are {', '.join(CASES)}, control")
+    return names

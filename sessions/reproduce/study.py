@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from labnnum.parameters import truncated_samples
-from labnnum.updating.batch import FrfBatch
-from labnnum.updating.features import Features
-from labnnum.updating.many import bound_deviations, refine_many
-from labnnum.updating.network import RbfNetwork
-from labnnum.updating.training import Disturbance, TrainingPlan, TrainingSet, make_training_set
-from labnnum.updating.updater import Updater, training_plan
+from labnnum.parameters import nominal, truncated_samples
+from labnnum.updating.many import ManyFrfs, bound_deviations, refine_from, refine_many
+from labnnum.updating.training import Disturbance
 from sessions.reproduce.cases import Case
+from sessions.reproduce.networks import Say, Trained, Training
 
 CHUNK = 250
 FAILED = 8.0
 """Standard deviations of the bound beyond which a refined estimate counts as a failure."""
 
-Say = Callable[[str, int, int], None]
+FIRST = 20_000_000
+"""Number of the first verification set's noise stream, far from those of the training."""
+
+TRIES = 6
+"""Further starts of a set that noise does not explain."""
+
+NORMAL_90 = 1.6448536269514722
 
 
 @dataclass(frozen=True)
@@ -38,18 +42,18 @@ class Effort:
         Training samples of the networks that are trained with noise, on at most `centres` centres.
     centres : int
     large : int
-        Samples of a further clean network on the same number of centres as the dissertation's; 0 leaves it out.
+        Samples of a further clean network on `centres` centres; 0 leaves it out.
     nominal : int
         Sets that are refined from the nominal values too, to count failures; 0 leaves that out.
     seed : int
     """
 
-    sets: int = 1000
+    sets: int = 5000
     noises: tuple[float, ...] = (0.0, 0.01, 0.03)
-    noisy_samples: int = 8000
+    noisy_samples: int = 30_000
     centres: int = 800
     large: int = 0
-    nominal: int = 200
+    nominal: int = 500
     seed: int = 0
 
 
@@ -64,12 +68,15 @@ class Errors:
     signed : ndarray, shape (n_sets, n_parameters)
     failures : int or None
         Sets that ended elsewhere, where that has a meaning.
+    coverage : ndarray, shape (n_parameters,), or None
+        Share of truths inside the stated 90 % intervals.
     """
 
     method: str
     noise: float
     signed: NDArray[np.float64]
     failures: int | None = None
+    coverage: NDArray[np.float64] | None = None
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -94,10 +101,9 @@ class Study:
     errors : tuple of Errors
     gamma : float
         Of the network as printed.
-    worst : mapping-like tuple of (method, set number)
-        The set with the largest summed error, clean FRF, of each network.
-    nominal_failures : mapping of noise -> (plain, on the sphere)
-        Failures among `effort.nominal` sets from the nominal start, by log H alone and approached on the sphere.
+    efficiency : dict of noise -> ndarray, shape (n_parameters,)
+        RMS of the refined errors in standard deviations of the bound, set by set: 1 is on the bound.
+    nominal_failures : dict of noise -> (failures by log H alone, failures approached on the sphere, sets)
     """
 
     case: Case
@@ -105,7 +111,8 @@ class Study:
     truth: NDArray[np.float64]
     errors: tuple[Errors, ...]
     gamma: float
-    nominal_failures: dict[float, tuple[int, int]]
+    efficiency: dict[float, NDArray[np.float64]]
+    nominal_failures: dict[float, tuple[int, int, int]]
 
     def of(self, method: str, noise: float) -> Errors | None:
         """The errors of a method at a noise level, if it was worked out."""
@@ -114,142 +121,165 @@ class Study:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameter names."""
-        return tuple(p.name for p in self.case.example.structure.parameters)
+        return tuple(self.case.published)
 
 
-def study(case: Case, effort: Effort, say: Say = lambda *_: None) -> Study:
-    """Work a case through."""
-    e = case.example
-    batch = FrfBatch.of(e.structure, case.lines, e.outputs, e.inputs)
-    unit = np.random.default_rng(effort.seed + 1).random((effort.sets, len(e.structure.parameters)))
-    truth = truncated_samples(e.structure.parameters, unit)
-    networks, gamma = _networks(case, effort, say)
-    found: dict[tuple[str, float], list[NDArray]] = {}
-    failures: dict[float, int] = dict.fromkeys(effort.noises, 0)
-    bounds: dict[float, NDArray] = {}
-    for start in range(0, effort.sets, CHUNK):
-        theta = truth[start : start + CHUNK]
-        clean = batch.frf(theta)
+@dataclass(eq=False)
+class Progress:
+    """What a study has found so far; chunks of sets are appended in order.
+
+    Parameters
+    ----------
+    done : int
+        Sets verified.
+    rows : dict of str -> list of ndarray
+        Answers ("method|noise"), bound ("bound|noise") and stated deviations ("std|noise"), chunk by chunk.
+    """
+
+    done: int = 0
+    rows: dict[str, list[NDArray]] = field(default_factory=dict)
+
+    def add(self, name: str, value: NDArray) -> None:
+        """Append a chunk's rows."""
+        self.rows.setdefault(name, []).append(value)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """One array for each name."""
+        return {name: np.vstack(rows) for name, rows in self.rows.items()}
+
+    @classmethod
+    def of(cls, arrays: dict[str, NDArray], done: int) -> Progress:
+        """From stored arrays."""
+        return cls(done, {name: [value] for name, value in arrays.items()})
+
+
+def study(
+    case: Case,
+    effort: Effort,
+    say: Say = lambda *_: None,
+    resume: Progress | None = None,
+    save: Callable[[Progress], None] = lambda _: None,
+) -> Study:
+    """Work a case through; `save` is called after each chunk with what `resume` takes."""
+    solver = case.solver()
+    free = solver.parameters
+    unit = np.random.default_rng(effort.seed + 1).random((effort.sets, len(free)))
+    truth = truncated_samples(free, unit)
+    networks = train(case, solver, effort, say)
+    found = resume or Progress()
+    say("verifying", found.done, effort.sets)
+    while found.done < effort.sets:
+        theta = truth[found.done : found.done + CHUNK]
+        clean = solver.frf(theta)
         for noise in effort.noises:
-            value = Disturbance(noise).on(clean, effort.seed, 20_000_000 + start)
-            first = None
-            for name, (features, network) in networks.items():
-                if _applies(name, noise):
-                    answer = network(features(case.lines, value))
-                    found.setdefault((name, noise), []).append(answer)
-                    first = answer if first is None or name.startswith("network") else first
-            assert first is not None
-            refined = refine_many(batch, value, first, approach=True, reach=2.0)
-            deviation = bound_deviations(batch, theta, max(noise, 1e-9))
-            bounds[noise] = np.vstack([bounds.get(noise, np.empty((0, theta.shape[1]))), deviation])
-            failures[noise] += int(_failed(refined.value, theta, deviation).sum())
-            found.setdefault(("refined", noise), []).append(refined.value)
-        say("verifying", min(start + CHUNK, effort.sets), effort.sets)
-    errors = _errors(found, truth, failures)
-    errors += [_bound(noise, deviation, truth) for noise, deviation in bounds.items() if noise > 0]
-    return Study(case, effort, truth, tuple(errors), gamma, _nominal(batch, truth, effort))
+            _verify(found, networks, case, solver, theta, Disturbance(noise).on(clean, effort.seed, FIRST + found.done),
+                    noise)  # fmt: skip
+        found.done += len(theta)
+        save(found)
+        say("verifying", found.done, effort.sets)
+    failures = _from_nominal(solver, truth, effort, say)
+    return _summed(case, effort, truth, found.arrays(), networks, failures)
 
 
-def _applies(name: str, noise: float) -> bool:
-    """Clean networks answer at every level, one trained with noise at its own."""
-    return "%" not in name or name.endswith(f" {100 * noise:g} %")
-
-
-def _networks(case: Case, effort: Effort, say: Say) -> tuple[dict[str, tuple[Features, RbfNetwork]], float]:
-    """The network as printed, ours of the same size, and ours trained with each noise level."""
-    out: dict[str, tuple[Features, RbfNetwork]] = {}
-    n = case.example.samples
-    printed = _plan(case, n, effort.seed, "integrals", "prior", 0.0)
-    made = Updater.from_training(printed, _set(printed, "as printed", say), network="printed")
-    out["printed"] = (made.features, made.network)
-    gamma = made.network.gamma
-    plan = _plan(case, n, effort.seed, case.features, "sobol", 0.0)
-    made = Updater.from_training(plan, _set(plan, "ours", say))
-    out["network"] = (made.features, made.network)
+def train(case: Case, solver: ManyFrfs, effort: Effort, say: Say) -> dict[str, Trained]:
+    """Every network that the effort asks for."""
+    training = Training(case, solver, effort.seed, say)
+    out = {"printed": training.printed(), "network": training.clean(case.samples)}
     if effort.large:
-        plan = _plan(case, effort.large, effort.seed, case.features, "sobol", 0.0)
-        made = Updater.from_training(plan, _set(plan, "large", say), centres=n)
-        out["large network"] = (made.features, made.network)
+        out["large network"] = training.clean(effort.large, effort.centres)
     for noise in effort.noises:
         if noise > 0 and effort.noisy_samples:
-            plan = _plan(case, effort.noisy_samples, effort.seed, case.features, "sobol", noise)
-            made = Updater.from_training(plan, _set(plan, f"{100 * noise:g} % noise", say), centres=effort.centres)
-            out[f"network, {100 * noise:g} %"] = (made.features, made.network)
-    return out, gamma
+            out[noisy_name(noise)] = training.noisy(effort.noisy_samples, effort.centres, noise)
+    return out
 
 
-def _plan(case: Case, samples: int, seed: int, features: str, sampling, noise: float) -> TrainingPlan:
-    e = case.example
-    return training_plan(
-        e.structure, e.bands, e.outputs, e.inputs, case.lines, samples=samples, seed=seed, features=features,
-        sampling=sampling, noise=noise,
-    )  # fmt: skip
+def noisy_name(noise: float) -> str:
+    """What the network trained with noise is called."""
+    return f"network, {100 * noise:g} %"
 
 
-def _set(plan: TrainingPlan, what: str, say: Say) -> TrainingSet:
-    return make_training_set(plan, progress=lambda done, total: say(f"training {what}", done, total))
+def _verify(
+    found: Progress, networks: dict[str, Trained], case: Case, solver: ManyFrfs, theta: NDArray, value: NDArray,
+    noise: float,
+) -> None:  # fmt: skip
+    """One chunk at one noise level: networks, refinement, bound."""
+    answers = {}
+    for name, network in networks.items():
+        if network.noise in (0.0, noise):
+            answers[name] = network(case.frequency, value)
+            found.add(f"{name}|{noise:g}", answers[name])
+    refined = refine_from(
+        solver, value, starts(answers, noise, theta.shape[1]), explained(solver, noise), approach=True, reach=2.0
+    )
+    found.add(f"refined|{noise:g}", refined.value)
+    found.add(f"bound|{noise:g}", bound_deviations(solver, theta, max(noise, 1e-9)))
+    found.add(f"std|{noise:g}", bound_deviations(solver, refined.value, max(noise, 1e-9)))
+
+
+def starts(answers: dict[str, NDArray], noise: float, n: int) -> list[NDArray]:
+    """Starts of the refinement, most trusted first: the networks, then points scattered as far as they disagree."""
+    own = noisy_name(noise)
+    first = [answers[k] for k in ([own] if own in answers else []) + ["large network", "network"] if k in answers]
+    apart = np.maximum(np.abs(first[0] - first[-1]), 1e-4 * np.abs(first[-1]))
+    scatter = np.random.default_rng(17).standard_normal((TRIES, n))
+    return [*first, *(first[-1] + apart * s for s in scatter)]
+
+
+def explained(solver: ManyFrfs, noise: float) -> float:
+    """Cost of log H that noise alone stays below in all but one of a million sets."""
+    residuals = 2 * int(np.prod(solver.shape))
+    if noise == 0.0:
+        return 1e-14 * residuals
+    return float(chi2.isf(1e-6, residuals - len(solver.parameters))) * (1 + 2 * noise) * noise**2 / 4
 
 
 def _failed(value: NDArray, theta: NDArray, deviation: NDArray) -> NDArray[np.bool_]:
-    return (np.abs(value - theta) > FAILED * deviation + 1e-8 * np.abs(theta)).any(axis=1)
+    return np.any(np.abs(value - theta) > FAILED * deviation + 1e-8 * np.abs(theta), axis=1)
 
 
-def _errors(found: dict, truth: NDArray, failures: dict[float, int]) -> list[Errors]:
-    out = []
-    for (name, noise), answers in found.items():
-        signed = 100 * (np.vstack(answers) / truth - 1)
-        out.append(Errors(name, noise, signed, failures[noise] if name == "refined" else None))
-    return out
+def _summed(
+    case: Case, effort: Effort, truth: NDArray, rows: dict[str, NDArray], networks: dict[str, Trained],
+    nominal_failures: dict[float, tuple[int, int, int]],
+) -> Study:  # fmt: skip
+    errors, efficiency = [], {}
+    for noise in effort.noises:
+        bound, std = rows[f"bound|{noise:g}"], rows[f"std|{noise:g}"]
+        for name, network in networks.items():
+            answer = rows.get(f"{name}|{noise:g}")
+            if answer is not None:
+                stated = np.sqrt(np.diag(network.network.residual))
+                within = _coverage(answer, truth, stated) if network.noise == noise else None
+                errors.append(Errors(name, noise, 100 * (answer / truth - 1), coverage=within))
+        refined = rows[f"refined|{noise:g}"]
+        failures = int(_failed(refined, truth, bound).sum())
+        within = _coverage(refined, truth, std) if noise > 0 else None
+        errors.append(Errors("refined", noise, 100 * (refined / truth - 1), failures, within))
+        if noise > 0:
+            # an unbiased normal estimate at the bound has a mean absolute error of sqrt(2 / pi) deviations
+            errors.append(Errors("bound", noise, 100 * np.sqrt(2 / np.pi) * bound / truth))
+            efficiency[noise] = np.sqrt((((refined - truth) / bound) ** 2).mean(axis=0))
+    gamma = networks["printed"].network.gamma
+    return Study(case, effort, truth, tuple(errors), gamma, efficiency, nominal_failures)
 
 
-def _bound(noise: float, deviation: NDArray, truth: NDArray) -> Errors:
-    """What an unbiased normal estimate at the bound would show: its mean absolute error is sqrt(2/pi) deviations."""
-    return Errors("bound", noise, 100 * np.sqrt(2 / np.pi) * deviation / truth)
+def _coverage(answer: NDArray, truth: NDArray, std: NDArray) -> NDArray[np.float64]:
+    return (np.abs(answer - truth) <= NORMAL_90 * std).mean(axis=0)
 
 
-def _nominal(batch: FrfBatch, truth: NDArray, effort: Effort) -> dict[float, tuple[int, int]]:
+def _from_nominal(solver: ManyFrfs, truth: NDArray, effort: Effort, say: Say) -> dict[float, tuple[int, int, int]]:
     theta = truth[: effort.nominal]
     if not len(theta):
         return {}
-    clean = batch.frf(theta)
-    begin = np.repeat(batch.structure.nominal[None], len(theta), axis=0)
+    clean = solver.frf(theta)
+    begin = np.repeat(nominal(solver.parameters)[None], len(theta), axis=0)
     out = {}
-    for noise in effort.noises:
-        value = Disturbance(noise).on(clean, effort.seed, 20_000_000)
-        deviation = bound_deviations(batch, theta, max(noise, 1e-9))
+    for number, noise in enumerate(effort.noises):
+        value = Disturbance(noise).on(clean, effort.seed, FIRST)
+        deviation = bound_deviations(solver, theta, max(noise, 1e-9))
         plain, sphere = (
-            int(_failed(refine_many(batch, value, begin, approach=a, reach=2.0).value, theta, deviation).sum())
+            int(_failed(refine_many(solver, value, begin, approach=a, reach=2.0).value, theta, deviation).sum())
             for a in (False, True)
         )
-        out[noise] = (plain, sphere)
+        out[noise] = (plain, sphere, len(theta))
+        say("from nominal values", number + 1, len(effort.noises))
     return out
-
-
-def smaller(effort: Effort, sets: int) -> Effort:
-    """The same effort on fewer sets."""
-    return replace(effort, sets=min(effort.sets, sets))
-
-
-def summary(done: Study) -> dict:
-    """Figures of a study as plain numbers: noise -> parameter -> method -> mean and largest error."""
-    out: dict = {"case": done.case.name, "where": done.case.where, "sets": len(done.truth), "gamma": done.gamma}
-    out["published"] = {n: list(v) for n, v in done.case.published.items()}
-    for noise in done.effort.noises:
-        rows = {}
-        for j, name in enumerate(done.names):
-            rows[name] = {
-                e.method: {"mean": float(e.mean[j]), "max": float(e.most[j])} for e in done.errors if e.noise == noise
-            }
-        refined = done.of("refined", noise)
-        out[f"{100 * noise:g} %"] = {
-            "parameters": rows,
-            "failures": None if refined is None else refined.failures,
-            "nominal_failures": list(done.nominal_failures.get(noise, ())),
-        }
-    return out
-
-
-def methods(done: Study, noise: float) -> Sequence[str]:
-    """Methods worked out at a noise level, in the order of the table."""
-    order = ["printed", "network", "large network", f"network, {100 * noise:g} %", "refined", "bound"]
-    return [m for m in order if done.of(m, noise) is not None]
