@@ -16,23 +16,22 @@ _PRINTED = "network as printed"
 def histograms(done: Study) -> str:
     """Signed errors of every parameter: both networks without noise; refined beside the bound at the highest noise."""
     n, noise = len(done.names), max(done.effort.noises)
-    figure = Figure(figsize=(max(2.1 * n, 6.0), 4.2), layout="constrained")
-    axes = figure.subplots(2, n, squeeze=False)
+    figure = Figure(figsize=(max(2.1 * n, 6.0), 5.6), layout="constrained")
+    axes = figure.subplots(3, n, squeeze=False)
+    for row, (method, colour) in enumerate((("printed", BEFORE), ("network", AFTER))):
+        e = done.of(method, 0.0)
+        for j in range(n if e is not None else 0):
+            assert e is not None
+            axes[row, j].hist(e.signed[:, j], bins=61, color=colour, histtype="stepfilled", alpha=0.7)
     for j, name in enumerate(done.names):
-        for e, colour, label in (
-            (done.of("printed", 0.0), BEFORE, _PRINTED),
-            (done.of("network", 0.0), AFTER, "our network"),
-        ):
-            if e is not None:
-                axes[0, j].hist(e.signed[:, j], bins=61, color=colour, histtype="stepfilled", alpha=0.7, label=label)
-        axes[0, j].set(yscale="log", xlabel=f"error of {name} (%)")
-        _against_the_bound(axes[1, j], done, j, noise)
-        axes[1, j].set(xlabel=f"error of {name} (%)")
-    axes[0, 0].set_ylabel("sets, no noise")
-    axes[1, 0].set_ylabel(f"sets, {100 * noise:g} % noise")
-    for row in (0, 1):
-        if axes[row, 0].get_legend_handles_labels()[0]:
-            axes[row, 0].legend(fontsize=7, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2)
+        _against_the_bound(axes[2, j], done, j, noise)
+        axes[0, j].set_title(name, fontsize=9)
+        axes[2, j].set(xlabel="error (%)")
+    axes[0, 0].set_ylabel(f"{_PRINTED},\nno noise (sets)")
+    axes[1, 0].set_ylabel("our network,\nno noise (sets)")
+    axes[2, 0].set_ylabel(f"refined,\n{100 * noise:g} % noise (sets)")
+    if axes[2, 0].get_legend_handles_labels()[0]:
+        axes[2, 0].legend(fontsize=7)
     return svg(figure)
 
 
@@ -44,7 +43,7 @@ def _against_the_bound(axis: Axes, done: Study, j: int, noise: float) -> None:
     error = refined.signed[:, j]
     reach = np.quantile(np.abs(error), 0.999) if error.any() else 1.0
     edges = np.linspace(-reach, reach, 51)
-    axis.hist(error, bins=edges.tolist(), color=AFTER, histtype="stepfilled", alpha=0.6, label="refined")
+    axis.hist(error, bins=edges.tolist(), color=AFTER, histtype="stepfilled", alpha=0.6)
     if bound is not None:
         deviation = np.abs(bound.signed[:, j]) * np.sqrt(np.pi / 2)
         x = (edges[1:] + edges[:-1]) / 2
