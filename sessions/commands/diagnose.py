@@ -31,6 +31,9 @@ def diagnose(
     For example:
 
         labnnum diagnose low.h5 high.h5 --model beam.toml -o diagnosis
+
+    A table of natural frequencies (a .csv with columns f1, f2, ..., one row a repeat) is diagnosed too; it says which
+    modes the updated model misses, with the uncertainty over the repeats, and which mechanisms would explain them.
     """
     import json
 
@@ -38,10 +41,17 @@ def diagnose(
 
     from labnnum.errors import FileError
     from sessions.diagnose import diagnose_files
+    from sessions.diagnose_modes import diagnose_modal_file, is_modal_table
 
     if out.exists() and not out.is_dir():
         raise FileError(f"{out}: is a file; --out names a folder for the answer")
     console = Console(stderr=True)
+    if any(is_modal_table(path) for path in recordings):
+        if len(recordings) > 1:
+            raise FileError(f"{recordings[0]}: a table of natural frequencies is diagnosed alone; give one file")
+        content = diagnose_modal_file(recordings[0], model, out)
+        typer.echo(json.dumps(content) if as_json else f"verdict: {content['verdict']}\n{content['summary']}")
+        return
     with console.status("reading") as status:
         content = diagnose_files(
             recordings, model, out, held_out or (), channels, rig, progress=lambda text: status.update(text)

@@ -1,0 +1,132 @@
+"""Models fitted to natural frequencies alone: parameters with their priors, and one mechanism of the catalogue."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+from scipy.optimize import least_squares
+
+from labnnum.mechanisms import CATALOGUE, ExtendedStructure, Term
+from labnnum.mechanisms.extended import Added, site_of
+from labnnum.response import modes
+from labnnum.structures.base import Structure
+from sessions.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class ModalFit:
+    """A model fitted to natural frequencies.
+
+    `theta` and `value` are the parameters of the structure and of the added term with the standard deviations `std` of
+    both; `missing` (n_modes,) what is left, measured over model less 1; `chi2` the squared weighted misfit, priors
+    included; `predicted` (n_modes,) the misfit of each mode when the fit sees only the others.
+    """
+
+    term: Term | None
+    theta: NDArray[np.float64]
+    value: NDArray[np.float64]
+    std: NDArray[np.float64]
+    missing: NDArray[np.float64]
+    chi2: float
+    predicted: NDArray[np.float64]
+
+    @property
+    def held_out(self) -> float:
+        """Relative RMS error of modes that the fit did not see."""
+        return float(np.sqrt(np.mean(self.predicted**2)))
+
+
+def frequencies(structure: Structure, term: Term | None, x: NDArray, count: int) -> NDArray[np.float64]:
+    """Lowest natural frequencies in Hz at the structure's parameters, then the term's; NaN where it is unstable."""
+    if term is None:
+        return modes(structure, x, count).frequency
+    m = ExtendedStructure(structure, (Added(term, term.parameters),)).matrices(x)
+    try:
+        value = np.asarray(eigh(np.real(m.K), np.real(m.M), eigvals_only=True))[:count]
+    except np.linalg.LinAlgError:
+        return np.full(count, np.nan)
+    return np.sqrt(np.where(value > 0, value, np.nan)) / (2 * np.pi)
+
+
+def fit_modes(structure: Structure, term: Term | None, measured: NDArray, sigma: NDArray) -> ModalFit:
+    """Parameters (with their priors) and a term's values that fit natural frequencies best.
+
+    Parameters
+    ----------
+    measured : ndarray, shape (n_modes,)
+        Hz.
+    sigma : ndarray, shape (n_modes,)
+        Relative standard deviation: of the mean, and of what an ordinary model misses.
+    """
+    every = np.ones(measured.size, bool)
+    x, cost, std = best_fit(structure, term, measured, sigma, every)
+    n = len(structure.parameters)
+    missing = measured / frequencies(structure, term, x, measured.size) - 1
+    predicted = []
+    for i in range(measured.size):
+        others = every.copy()
+        others[i] = False
+        y = best_fit(structure, term, measured, sigma, others, x)[0]
+        predicted.append(measured[i] / frequencies(structure, term, y, measured.size)[i] - 1)
+    return ModalFit(term, x[:n], x[n:], std, missing, cost, np.array(predicted))
+
+
+def best_fit(
+    structure: Structure,
+    term: Term | None,
+    measured: NDArray,
+    sigma: NDArray,
+    used: NDArray,
+    start: NDArray | None = None,
+) -> tuple[NDArray, float, NDArray]:
+    """Parameters, chi2 and standard deviations of the best fit to the modes `used`, from every start of the term."""
+    own = structure.parameters
+    low = np.array([p.lower for p in own] + [p.lower for p in (term.parameters if term else ())])
+    high = np.array([p.upper for p in own] + [p.upper for p in (term.parameters if term else ())])
+    starts = [np.concatenate([structure.nominal, s]) for s in (term.starts if term else [np.empty(0)])]
+    if start is not None:
+        starts = [start]
+    spread, size = np.array([p.spread for p in own]), np.abs(np.array(starts)).max(axis=0)
+    size = np.where(size > 0, size, 1.0)
+
+    def residual(y: NDArray) -> NDArray[np.float64]:
+        found = frequencies(structure, term, y * size, measured.size)
+        wrong = np.where(np.isfinite(found), np.log(measured / found), 10.0) / sigma
+        return np.concatenate([wrong[used], (y[: len(own)] * size[: len(own)] - structure.nominal) / spread])
+
+    found = []
+    for x in starts:
+        inside = np.clip(x, low + 1e-9 * (high - low), high - 1e-9 * (high - low)) / size
+        found.append(least_squares(residual, inside, bounds=(low / size, high / size), x_scale="jac"))
+    best = min(found, key=lambda f: f.cost)
+    covariance = np.linalg.pinv(best.jac.T @ best.jac)
+    return best.x * size, 2 * float(best.cost), np.sqrt(np.diag(covariance)) * size
+
+
+def candidates(model: Model) -> list[Term]:
+    """Terms of the catalogue with one parameter that move natural frequencies and add no motion of their own."""
+    structure, places = model.structure, model.places
+    site = site_of(structure)
+    out = []
+    for term in (t for m in CATALOGUE if m.domain in ("linear", "modal") for t in m.terms(site)):
+        if term.n != 1 or not term.starts.size or not _allowed(term, places):
+            continue
+        extended = ExtendedStructure(structure, (Added(term, term.parameters),))
+        there = extended.matrices(np.concatenate([structure.nominal, term.starts[-1]]))
+        base = structure.matrices(structure.nominal)
+        if there.M.shape == base.M.shape and not (np.allclose(there.M, base.M) and np.allclose(there.K, base.K)):
+            out.append(term)
+    return out
+
+
+def _allowed(term: Term, places: Any) -> bool:
+    kind, name, to = term.place.kind, term.place.id, term.place.to
+    if kind in ("node", "ground") and places.nodes is not None:
+        return name in places.nodes
+    if kind in ("element", "joint") and places.elements is not None:
+        return {name, to} in [set(e) for e in places.elements]
+    return kind != "support" or places.supports is None or name in places.supports

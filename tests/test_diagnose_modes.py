@@ -1,0 +1,124 @@
+"""Diagnosis from natural frequencies: what a model misses, what would explain it, and what cannot be told apart."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labnnum.errors import FileError
+from labnnum.response import modes
+from sessions.diagnose_modes import diagnose_modal_file, diagnose_modes, is_modal_table, read_modal_table
+from sessions.modal_fit import candidates, fit_modes
+from sessions.model import parse_model, read_model
+
+SHEAR = Path(__file__).resolve().parents[1] / "examples" / "recordings" / "four_dof" / "shear.toml"
+STIFFNESS = (9000.0, 7000.0, 10500.0, 8000.0)
+
+
+def building(added=0.0):
+    """Four storeys of unlike stiffness, whose top block weighs `added` kg more."""
+    text = SHEAR.read_text()
+    for k in STIFFNESS:
+        text = text.replace('stiffness = "k"', f"stiffness = {k}", 1)
+    masses = text.replace("mass = 0.1122", 'mass = "m"', 3).replace("mass = 0.1122", f"mass = {0.1122 + added}")
+    parameter = '[[parameter]]\nname = "m"\nnominal = 0.1122\nlower = 0.09\nupper = 0.14\nstd = 0.01\nunit = "kg"'
+    head, _, tail = masses.partition("[[parameter]]")
+    return parse_model(f"{head}{parameter}\n{tail[tail.index('[[band]]') :]}", SHEAR)
+
+
+def repeats(model, scatter=1e-3, n=40, theta=None):
+    rng = np.random.default_rng(3)
+    exact = modes(model.structure, model.structure.nominal if theta is None else theta, 4).frequency
+    return exact * (1 + scatter * rng.standard_normal((n, 4)))
+
+
+def test_a_model_that_holds_is_consistent_and_a_wrong_parameter_is_one():
+    model = read_model(SHEAR)
+    assert diagnose_modes(repeats(model), model)["verdict"] == "consistent"
+    moved = diagnose_modes(repeats(model, theta=[9800.0]), model)
+    assert moved["verdict"] == "parameters"
+    assert moved["parameters"]["k"]["value"] == pytest.approx(9800.0, rel=2e-3)
+
+
+def test_a_heavier_top_is_named_with_its_mass_where_storeys_differ():
+    said = diagnose_modes(repeats(building(0.05)), building())
+    mechanism = said["mechanism"]
+    assert said["verdict"] == "missing-physics"
+    assert mechanism["id"] == "added-mass"
+    assert said["place"]["id"] == "4"
+    mass = mechanism["parameters"]["mass"]
+    assert abs(mass["value"] - 0.05) < 3 * mass["std"]
+    assert said["fit"]["extended"]["held_out"] < 0.2 * said["fit"]["base"]["held_out"]
+
+
+def test_a_uniform_chain_cannot_tell_a_heavy_top_from_a_soft_foot():
+    """Read from the top, masses between springs are springs between masses: the spectra are the same."""
+    model = read_model(SHEAR)
+    text = SHEAR.read_text()
+    at = text.rindex("mass = 0.1122")
+    heavy = parse_model(text[:at] + "mass = 0.16" + text[at + len("mass = 0.1122") :], SHEAR)
+    said = diagnose_modes(repeats(heavy), model)
+    near = {(a["mechanism"], a["place"]["id"]) for a in said["alternatives"] if a["tie"]}
+    assert said["verdict"] == "unexplained"
+    assert ("added-mass", "4") in near
+    assert {"support-compliance", "joint-stiffness"} & {m for m, _ in near}
+
+
+def test_what_is_missing_is_told_mode_by_mode_with_its_scatter():
+    model = read_model(SHEAR)
+    table = repeats(model, 2e-3, 100)
+    said = diagnose_modes(table, model)
+    for i, mode in enumerate(said["modes"]):
+        assert mode["measured_hz"] == pytest.approx(table[:, i].mean())
+        assert 1e-4 < mode["std_of_mean"] < 3e-4
+        low, high = mode["repeats_90"]
+        assert low < mode["missing"] < high
+
+
+def test_every_candidate_moves_a_frequency_and_nests():
+    model = read_model(SHEAR)
+    terms = candidates(model)
+    assert {"added-mass", "ground-stiffness", "joint-stiffness"} <= {t.mechanism.id for t in terms}
+    measured = modes(model.structure, [9000.0], 4).frequency
+    base = fit_modes(model.structure, None, measured, np.full(4, 0.003))
+    for term in terms:
+        fit = fit_modes(model.structure, term, measured, np.full(4, 0.003))
+        assert fit.chi2 <= base.chi2 + 1e-6
+
+
+def test_the_four_storeys_miss_what_a_single_factor_cannot_give(recordings, tmp_path):
+    table = recordings / "four_dof" / "measurements_br_freq_hz.csv"
+    said = diagnose_modal_file(table, SHEAR, tmp_path)
+    assert said["verdict"] == "unexplained"
+    assert said["repeats"] == 100
+    missing = [m["missing"] / m["std_of_mean"] for m in said["modes"]]
+    assert max(missing[:2]) < -10
+    assert min(missing[2:]) > 10
+    assert (tmp_path / "diagnosis.json").is_file()
+
+
+def test_tables_are_told_from_other_files(tmp_path):
+    table, other = tmp_path / "a.csv", tmp_path / "b.csv"
+    table.write_text("run,f1,f2\n1,2.0,3.0\n2,2.1,nan\n")
+    other.write_text("time,force\n0,1\n")
+    assert is_modal_table(table)
+    assert not is_modal_table(other)
+    assert not is_modal_table(tmp_path / "absent.csv")
+    assert read_modal_table(table).tolist() == [[2.0, 3.0]]
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("1,2.0,x\n", "line 2"),
+        ("1,3.0,2.0\n", "ascend"),
+        ("1,2.0\n", "2 positive"),
+        ("1,-2.0,3.0\n", "positive"),
+        ("", "no repeats"),
+    ],
+)
+def test_bad_tables_are_refused(tmp_path, rows, words):
+    path = tmp_path / "bad.csv"
+    path.write_text(f"run,f1,f2\n{rows}")
+    with pytest.raises(FileError, match=words):
+        read_modal_table(path)
