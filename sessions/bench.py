@@ -114,13 +114,12 @@ def progress(session: Session, rig: Rig, plan: Sequence[Item]) -> list[Progress]
     out = []
     for item in plan:
         runs = runs_of(item, session.runs)
-        if _ended(session, item) == COMPLETE:
-            out.append(Progress(item.key, 1, 1))
-        elif item.kind == "hammer":
-            accepted = sum(h.accepted for r in runs for h in r.hits)
-            out.append(Progress(item.key, accepted, rig.toml.plan.hits))
+        complete = _ended(session, item) == COMPLETE
+        if item.kind == "hammer":
+            accepted, wanted = sum(h.accepted for r in runs for h in r.hits), rig.toml.plan.hits
+            out.append(Progress(item.key, max(accepted, wanted) if complete else accepted, wanted))
         else:
-            out.append(Progress(item.key, 0, 1))
+            out.append(Progress(item.key, int(complete), 1))
     return out
 
 
@@ -277,9 +276,9 @@ def settings(rig: Rig) -> FrfSettings:
     """How the rig's recordings are estimated."""
     p, e = rig.toml.processing, rig.toml.excitation
     if e.kind == "hammer":
-        gate = p.force_gate[1] if p.force_gate else 0.0
+        lead, gate = p.force_gate or (None, 0.0)
         method = "H1" if p.estimator in (None, "periodic") else p.estimator
-        return FrfSettings(method, hits=True, decay=p.decay, gate=gate)
+        return FrfSettings(method, hits=True, decay=p.decay, gate=gate, lead=lead)
     if e.periodic and p.estimator in (None, "periodic"):
         return FrfSettings("periodic")
     method = p.estimator or "H1"

@@ -43,6 +43,8 @@ class FrfSettings:
         1/s, exponential window on hits.
     gate : float
         Seconds of the force kept after its peak; 0 keeps all.
+    lead : float or None
+        Seconds of the force kept before its peak; as many as `gate` if None.
     keep_clipped : bool
         Estimate from clipped channels all the same.
     """
@@ -54,6 +56,7 @@ class FrfSettings:
     hits: bool | None = None
     decay: float = 0.0
     gate: float = 0.0
+    lead: float | None = None
     keep_clipped: bool = False
 
     def __post_init__(self) -> None:
@@ -158,7 +161,7 @@ def estimate(recordings: Sequence[Recording], settings: FrfSettings, lines: Sequ
             f"{recordings[0].label}: decay and gate are for hammer hits, and this is none; say --hits if it is"
         )
     if done.hits:
-        gate = (done.gate, done.gate) if done.gate else None
+        gate = (done.gate if done.lead is None else done.lead, done.gate) if done.gate else None
         processor = Hits(done.segment, done.decay, gate)
     else:
         assert done.segment is not None and done.window is not None and done.overlap is not None  # noqa: PT018

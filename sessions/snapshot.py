@@ -104,9 +104,36 @@ def curves(frf: Frf) -> Curves:
     names = tuple(f"{o.name} / {i.name}" for o in frf.outputs for i in frf.inputs)
     coherence = None if frf.coherence is None else np.repeat(frf.coherence, n_in, axis=0)
     unit = f"{frf.outputs[0].unit} / {frf.inputs[0].unit}" if n_out and n_in else ""
-    return Curves(
-        frf.frequency, np.abs(value), np.degrees(np.angle(value)), coherence, names, unit, float(frf.n_averages)
-    )
+    return Curves(frf.frequency, np.abs(value), phase_to_show(value), coherence, names, unit, float(frf.n_averages))
+
+
+def phase_to_show(value: NDArray) -> NDArray[np.float64]:
+    """Phase in degrees over that full turn, from -180, -270, 0 or -90 upwards, in which it jumps least.
+
+    Examples
+    --------
+    >>> phase_to_show(np.exp(1j * np.radians([[179.0, -179.0, 178.0]]))).round(6).tolist()
+    [[-181.0, -179.0, -182.0]]
+    """
+    phase = np.degrees(np.angle(value))
+    shown = [(phase - start) % 360.0 + start for start in (-180.0, -270.0, 0.0, -90.0)]
+    jumps = [np.count_nonzero(np.abs(np.diff(one, axis=-1)) > 180.0) for one in shown]
+    return shown[int(np.argmin(jumps))]
+
+
+def around_pulse(force: NDArray) -> tuple[int, int]:
+    """Samples from shortly before the largest pulse to where a second one would have come: thirty widths later.
+
+    Examples
+    --------
+    >>> x = np.zeros(1000); x[100:104] = [1, 4, 4, 1]
+    >>> around_pulse(x)
+    (69, 229)
+    """
+    size = np.abs(force - np.median(force))
+    at = int(np.argmax(size))
+    width = max(int(np.count_nonzero(size[max(at - 2000, 0) : at + 2000] > 0.1 * size[at])), 4)
+    return max(at - 8 * width, 0), min(at + 32 * width, force.size)
 
 
 def spectrum(scope: NDArray, rate: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

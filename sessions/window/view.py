@@ -10,7 +10,7 @@ import pyqtgraph as pg
 from numpy.typing import NDArray
 from PySide6 import QtCore, QtGui, QtWidgets
 
-from sessions.snapshot import Curves, HitLine, Progress, Snapshot
+from sessions.snapshot import Curves, HitLine, Progress, Snapshot, around_pulse
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#8c564b")
 """Told apart by most colour-blind people as well (Okabe and Ito)."""
@@ -35,6 +35,7 @@ class View(QtWidgets.QMainWindow):
         super().__init__()
         self._send = send
         self.snapshot: Snapshot | None = None
+        self._closed_in = 0
         self.setWindowTitle("labnnum")
         self.resize(1500, 900)
         pg.setConfigOptions(antialias=False, background="w", foreground="k")
@@ -140,7 +141,7 @@ class View(QtWidgets.QMainWindow):
         self.messages.setText("\n".join(s.messages))
         self.lamps.update_lamps(s.names, s.overload, s.lost, s.overflows)
         self.progress.update_items(s.progress)
-        self.hits.update_hits(s.hits)
+        self.hits.update_hits(s.hits, s.units[s.inputs[0]] if s.inputs else "")
         labels = [f"{name}, {unit}" for name, unit in zip(s.names, s.units, strict=True)]
         time = np.arange(s.scope.shape[1]) / s.rate
         others = [i for i in range(len(s.names)) if i not in s.inputs]
@@ -161,6 +162,10 @@ class View(QtWidgets.QMainWindow):
         if s.hit is not None:
             time = np.arange(s.hit.shape[1]) / s.rate
             self.hit.draw(time, s.hit[list(s.inputs)], [labels[i] for i in s.inputs])
+            if len(s.hits) != self._closed_in and s.inputs:
+                self._closed_in = len(s.hits)
+                low, high = around_pulse(s.hit[s.inputs[0]])
+                self.hit.plot.setXRange(low / s.rate, high / s.rate, padding=0)
 
     def _draw_frf(self, c: Curves | None) -> None:
         if c is None:
@@ -169,9 +174,12 @@ class View(QtWidgets.QMainWindow):
                 part.draw(np.zeros(0), np.zeros((0, 0)), [])
             return
         names = list(c.names)
-        self.magnitude.plot.setTitle(f"{c.averages:.3g} averages")
+        self.magnitude.plot.setTitle(f"{c.averages:.3g} average{'s' * (c.averages != 1)}")
         self.magnitude.draw(c.frequency, c.magnitude, [f"{n}, {c.unit}" for n in names])
         self.phase.draw(c.frequency, c.phase, names)
+        if c.phase.size:
+            low = min(90.0 * np.floor(float(np.nanmin(c.phase)) / 90.0), -180.0)
+            self.phase.plot.setYRange(low - 5, max(low + 365, float(np.nanmax(c.phase)) + 5), padding=0)
         if c.coherence is not None:
             self.coherence.draw(c.frequency, c.coherence, names)
 
@@ -318,10 +326,11 @@ class Hits(QtWidgets.QTableWidget):
         self._shown: tuple[HitLine, ...] = ()
         self.setVisible(False)
 
-    def update_hits(self, hits: tuple[HitLine, ...]) -> None:
+    def update_hits(self, hits: tuple[HitLine, ...], unit: str = "") -> None:
         """Bring the table up to date."""
         if hits == self._shown:
             return
+        self.setHorizontalHeaderLabels(["hit", f"peak, {unit}" if unit else "peak", "", "why"])
         grown = len(hits) != len(self._shown)
         self._shown = hits
         self.setVisible(bool(hits))

@@ -162,9 +162,22 @@ def test_hammer_plan_gives_the_frf_of_the_structure_at_every_point(tmp_path):
     assert 0.7 < agreement(rig, whole) < 1.6
     last = display.last
     assert last is not None
-    assert [p.done for p in last.progress] == [1, 8]
+    assert [p.done for p in last.progress] == [8, 8]
     assert last.curves is not None
     np.testing.assert_allclose(last.curves.magnitude, np.abs(outcome.frfs["hammer 2:x"].value[0]))
+
+
+def test_what_is_stored_is_what_was_shown_with_a_gate_and_a_decay_too(tmp_path):
+    rig = hammer_rig(
+        tmp_path, ("[simulated]\n", "[processing]\ndecay = 4.0\nforce_gate = [0.005, 0.02]\n[simulated]\n")
+    )
+    display = Quiet()
+    outcome = measure(rig, tmp_path / "out.h5", display)
+    assert display.last is not None
+    assert display.last.curves is not None
+    stored = outcome.frfs["hammer 2:x"]
+    np.testing.assert_allclose(display.last.curves.magnitude, np.abs(stored.value[0]), rtol=1e-9)
+    assert stored.settings["window_decay"] == 4.0
 
 
 def test_every_hit_is_kept_with_its_reason(tmp_path):

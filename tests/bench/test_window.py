@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,6 +61,22 @@ def test_everything_is_shown(view):
     assert view.progress.topLevelItem(1).text(0) == "▶ hammer 2:x"
     assert view.messages.text() == "mind the cable"
     assert "12.5 s" in view.level.text()
+
+
+def test_the_pulse_of_a_hit_fills_its_plot_and_the_phase_its_turn(view):
+    force = np.zeros((3, 4000))
+    force[0, 500:510] = np.hanning(12)[1:-1]
+    view.show_snapshot(snapshot(hit=force))
+    (low, high), _ = view.hit.plot.viewRange()
+    rate = view.snapshot.rate
+    assert low < 500 / rate
+    assert 510 / rate < high < 1000 / rate
+    wrapped = np.tile([[181.0, 179.0]], (2, 100))  # a full turn from 0: nothing jumps, nothing is cut off
+    curves = replace(snapshot().curves, phase=wrapped)
+    view.show_snapshot(snapshot(curves=curves))
+    _, (bottom, top) = view.phase.plot.viewRange()
+    assert bottom < 179
+    assert top > 181
 
 
 def test_a_shaker_run_is_shown_without_hits(view):
