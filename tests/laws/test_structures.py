@@ -251,6 +251,37 @@ def test_sensitivities_are_those_of_differences(make):
         assert (np.abs(found - slope[j]) < 2e-5 * size + 100 * floor).all(), p.name
 
 
+@ALL
+def test_sensitivities_are_those_of_the_complex_step(make):
+    """To rounding: the FRF is solved in real numbers, so that an imaginary step of a parameter stays apart."""
+    s = make()
+    theta = somewhere(s, 5)
+    outputs, inputs = [sensor(s.dofs[0]), sensor(s.dofs[-1], "b")], [actuator(s.dofs[-1])]
+    f = lines(s)
+    _, slope = frf_sensitivity(s, theta, f, outputs, inputs)
+    for j, p in enumerate(s.parameters):
+        step = 1e-40 * (p.upper - p.lower)
+        stepped = theta.astype(complex)
+        stepped[j] += 1j * step
+        real, imaginary = in_real_numbers(s, stepped, f, outputs, inputs)
+        found = (real.imag + 1j * imaginary.imag) / step
+        size = np.abs(slope[j]).max(axis=-1, keepdims=True)
+        assert (np.abs(found - slope[j]) <= 1e-8 * size + 1e-300).all(), p.name
+
+
+def in_real_numbers(s, theta, frequency, outputs, inputs):
+    """Real and imaginary part of the receptance, each an analytic function of theta."""
+    m = s.matrices(theta)
+    places = [np.asarray(s.participation(c.dof, theta)) for c in (*outputs, *inputs)]
+    out, drive = np.array(places[: len(outputs)]), np.array(places[len(outputs) :]).T
+    n, value = len(m.M), []
+    for w in 2 * np.pi * frequency:
+        z, loss = m.K - w**2 * m.M, w * m.C + m.D
+        u = np.linalg.solve(np.block([[z, -loss], [loss, z]]), np.vstack([drive, 0 * drive]))
+        value.append((out @ u[:n], out @ u[n:]))
+    return np.moveaxis(np.array(value), 0, -1)
+
+
 def richardson(function, theta, j, h):
     """Central difference of the fourth order."""
 
