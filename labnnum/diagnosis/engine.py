@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
-from labnnum.mechanisms.base import ChannelMechanism, Site, Term
+from labnnum.mechanisms.base import Change, ChannelMechanism, Site, Term
 from labnnum.mechanisms.geometry import held_motions
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
@@ -113,7 +113,7 @@ class Engine:
         self.held_load = sum((h.free_load for h in self.held.values()), np.zeros(len(m.M)))
         if self.is_base and len(self.inputs) > 1:
             raise ModelError("base motion and force at the same time are not supported: import them as separate runs")
-        self._cache: dict[bytes, State] = {}
+        self._cache: dict[tuple, State] = {}
         self._grids: dict[tuple[int, int, int], tuple] = {}
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
         self.sign_out = np.array([c.sign for c in self.outputs])
@@ -171,54 +171,77 @@ class Engine:
 
     # ---------------------------------------------------------------- states
 
-    def state(self, theta: NDArray) -> State:
-        """Modes and projections at `theta` (the last few are remembered)."""
-        key = np.asarray(theta, float).tobytes()
+    def state(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]] = ()) -> State:
+        """Modes and projections at `theta`, with changes of the whole structure at their parameters.
+
+        The last few are remembered. Derivatives to the changes' parameters follow those to theta.
+        """
+        theta = np.asarray(theta, float)
+        key = (theta.tobytes(), *((id(c), np.asarray(p, float).tobytes()) for c, p in changes))
         if key not in self._cache:
             if len(self._cache) > 24:
                 self._cache.pop(next(iter(self._cache)))
-            self._cache[key] = self._state(np.asarray(theta, float))
+            self._cache[key] = self._state(theta, changes)
         return self._cache[key]
 
-    def _state(self, theta: NDArray) -> State:
+    def _changed(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> tuple[NDArray, NDArray, list]:
+        """M, K and their derivatives to theta and to the changes' parameters."""
+        m = self.structure.matrices(theta)
+        mass, stiffness = np.real(m.M), np.real(m.K)
+        slopes = [(d.M, d.K) for d in self.structure.derivatives(theta)]
+        off = theta - self.theta0
+        for change, p in changes:
+            more, stiffer = change.matrices(p, off)
+            mass, stiffness = mass + more, stiffness + stiffer
+            for j, (a, b) in enumerate(change.structure_derivatives(p, off)):
+                slopes[j] = (slopes[j][0] + a, slopes[j][1] + b)
+            slopes += change.derivatives(p, off)
+        return mass, stiffness, slopes
+
+    def _state(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> State:
         from scipy.linalg import LinAlgError, eigh
 
         v = self.basis
-        m = self.structure.matrices(theta)
+        mass, stiffness, d = self._changed(theta, changes)
         try:
-            value, q = eigh(v.T @ np.real(m.K) @ v, v.T @ np.real(m.M) @ v)
+            if changes:  # they bend the elements themselves, which the nominal low modes do not span
+                value, shape = eigh(stiffness, mass, subset_by_index=[0, v.shape[1] - 1])
+            else:
+                value, q = eigh(v.T @ stiffness @ v, v.T @ mass @ v)
+                shape = v @ q
         except LinAlgError:
             raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}") from None
-        shape = v @ q
         shape = shape * np.where(shape[np.abs(shape).argmax(axis=0), np.arange(shape.shape[1])] < 0, -1.0, 1.0)
         sensors = np.array([self.participation(c.dof, theta) for c in self.outputs])
         out = sensors @ shape
-        d = self.structure.derivatives(theta)
         omega = np.sqrt(np.maximum(value, 0))
-        mixed = [_mode_derivatives(shape.T @ x.K @ shape, shape.T @ x.M @ shape, value) for x in d]
+        mixed = [_mode_derivatives(shape.T @ dk @ shape, shape.T @ dm @ shape, value) for dm, dk in d]
         d_log = np.array([a for a, _ in mixed]).reshape(len(d), omega.size)
         mix = np.array([b for _, b in mixed]).reshape(len(d), omega.size, omega.size)
         n_par = len(d)
         if self.is_base:
             r, drives = np.real(self.structure.rigid(theta)), np.zeros((0, shape.shape[0]))
-            pushed = np.real(m.M) @ r + self.held_load
+            pushed = mass @ r + self.held_load
             load = -(shape.T @ pushed)[:, None]
             high_in = -(pushed @ self.high)[None]
-            d_load = np.array([-(shape.T @ (x.M @ r))[:, None] for x in d]).reshape(n_par, -1, 1)
+            d_load = np.array([-(shape.T @ (dm @ r))[:, None] for dm, _ in d]).reshape(n_par, -1, 1)
         else:
             r = np.zeros(shape.shape[0])
             drives = np.array([self.participation(c.dof, theta) for c in self.inputs])
             load = (drives @ shape).T
             high_in = drives @ self.high
-            d_load = np.array([self.structure.participation_derivatives(c.dof, theta) @ shape for c in self.inputs])
-            d_load = np.moveaxis(d_load, 0, 2)
-        d_out = np.array([self.structure.participation_derivatives(c.dof, theta) @ shape for c in self.outputs])
-        d_out = np.moveaxis(d_out, 0, 2)
+            d_load = self._moved(self.inputs, theta, shape, n_par)
+        d_out = self._moved(self.outputs, theta, shape, n_par)
         turn = np.moveaxis(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
         return State(
             theta, omega, shape, out.T, load, d_log, mix, d_load + turn @ load, d_out + turn @ out.T,
             sensors @ self.high, high_in, r, sensors @ r, sensors, drives,
         )  # fmt: skip
+
+    def _moved(self, channels: Sequence[Channel], theta: NDArray, shape: NDArray, n_par: int) -> NDArray[np.float64]:
+        """Derivatives of the channels' modal participations, (n_par, m, n_channels); changes move no channel."""
+        rows = [self.structure.participation_derivatives(c.dof, theta) @ shape for c in channels]
+        return np.pad(np.moveaxis(np.array(rows), 0, 2), ((0, n_par - len(rows[0])), (0, 0), (0, 0)))
 
     def participation(self, dof: str, theta: NDArray) -> NDArray[np.float64]:
         """Row of the structure's participation, real."""
@@ -272,7 +295,8 @@ class _Evaluation:
         self.acting = [(t, self._slice(terms, i)) for i, t in enumerate(terms) if t.groups]
         self.others = [(t, self._slice(terms, i)) for i, t in enumerate(terms) if not t.groups]
         self.n_terms = point.terms.size
-        self.state = engine.state(point.theta)
+        self.changes = [(t.whole, c) for t, c in self.others if t.whole is not None]
+        self.state = engine.state(point.theta, [(w, point.terms[c]) for w, c in self.changes])
         self.change = point.theta - engine.theta0
         self._modes()
         self._points()
@@ -284,11 +308,7 @@ class _Evaluation:
 
     def _modes(self) -> None:
         e, st, b = self.e, self.state, self.e.band_modes
-        self.base_omega = st.omega
         omega = st.omega.copy()
-        self.shear = [(t, c) for t, c in self.others if t.data.get("shear")]
-        for _, c in self.shear:
-            omega = omega / np.sqrt(1 + 2 * self.point.terms[c][0] * omega)
         omega[b] = omega[b] * (1 + self.point.shift)
         zeta = e.zeta0[: omega.size].copy()
         common = np.mean(self.point.log_zeta - np.log(zeta[b]))
@@ -536,16 +556,6 @@ class _Evaluation:
             yield term, c, first, first + term.width
             first += term.width
 
-    def _shear_share(self) -> NDArray:
-        """Derivative of the logarithm of the frequencies to that of the structure's own, (m,)."""
-        out = np.ones(self.base_omega.size)
-        omega = self.base_omega
-        for _, c in self.shear:
-            t = self.point.terms[c][0]
-            out = out * (1 - t * omega / (1 + 2 * t * omega))
-            omega = omega / np.sqrt(1 + 2 * t * omega)
-        return out
-
     def _jacobian(
         self, q: NDArray, p_out: NDArray, z_in: NDArray | None, z_out: NDArray | None,
         extra: list[tuple[slice, NDArray, NDArray, NDArray]],
@@ -554,8 +564,9 @@ class _Evaluation:
         n_t, m_b = self.point.theta.size, b.size
         n_o, n_i, n_f = len(e.outputs), len(e.inputs), s.size
         jac = np.zeros((n_t + self.n_terms + 3 * m_b + 1, n_o, n_i, n_f), complex)
-        for j in range(n_t):
-            slope = st.d_log[j] * self._shear_share()
+        slots = [*range(n_t), *(n_t + i for _, c in self.changes for i in range(c.start, c.stop))]
+        for j, slot in enumerate(slots):
+            slope = st.d_log[j]
             w, z = self.omega, self.zeta
             h = float(self.point.law[0])
             stiffer = slope[:, None] * ((2 * w**2)[:, None] + (2 * z * w)[:, None] * (self.rate + 1j * h * w[:, None]))
@@ -564,13 +575,13 @@ class _Evaluation:
                 turned = self.w @ st.mix[j]  # derivative of the terms' motions, (k, m)
                 rises = 1.0 if self.rises is None else self.rises[:, None]
                 push = push - _dot(turned.T, rises * _across(self.g, z_in))
-            jac[j] = np.einsum("mof,mif->oif", p_out, push) + _dot(st.d_out[j].T, q)
+            jac[slot] = np.einsum("mof,mif->oif", p_out, push) + _dot(st.d_out[j].T, q)
             if z_in is not None and z_out is not None:
-                jac[j] -= _across(np.moveaxis(z_out, 0, 1), _across(self.g, rises * _dot(turned, q)))
-                for term, c, first, last in self._acting_columns():
+                jac[slot] -= _across(np.moveaxis(z_out, 0, 1), _across(self.g, rises * _dot(turned, q)))
+                for term, c, first, last in self._acting_columns() if j < n_t else ():
                     slope = term.stiffness_slope(s, self.point.terms[c], self.change, j)
                     if slope is not None:
-                        jac[j] -= _across(np.moveaxis(z_out[first:last], 0, 1), _across(slope, z_in[first:last]))
+                        jac[slot] -= _across(np.moveaxis(z_out[first:last], 0, 1), _across(slope, z_in[first:last]))
         for term, c, first, last in self._acting_columns():
             d = term.stiffness_derivative(s, self.point.terms[c], self.change)
             for k in range(term.n):
@@ -598,13 +609,6 @@ class _Evaluation:
         jac[at + 2 * m_b : at + 3 * m_b] = p_out[b][:, :, None, :] * e.load_typical[:, None, None, None]
         swing = 2 * (self.zeta * self.omega)[:, None] * (1j * self.omega[:, None] - s)
         jac[-1] = -np.einsum("mof,mif->oif", p_out, swing[:, None] * q)
-        for _, c in self.shear:
-            t = self.point.terms[c][0]
-            slope = -self.omega * self.base_omega / (1 + 2 * t * self.base_omega)  # d omega / d t
-            change = (2 * self.omega * slope)[:, None] + (2 * self.zeta * slope)[:, None] * (
-                self.rate + 1j * h * self.omega[:, None]
-            )
-            jac[n_t + c.start] -= np.einsum("mof,mif->oif", p_out, change[:, None] * q)
         return jac
 
 

@@ -7,10 +7,27 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from labnnum.mechanisms.base import TRANSLATIONS, Mechanism, Place, Site, Term, scalar_term
+from labnnum.mechanisms.base import SIZES, TRANSLATIONS, Change, Mechanism, Place, Site, Term, amount, signed
 from labnnum.mechanisms.geometry import AXES, dof_rows
 from labnnum.mechanisms.laws import Spring
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Tension(Change):
+    """K += T K_G."""
+
+    geometric: NDArray[np.float64]
+
+    def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
+        """No mass, and the tension's stiffness."""
+        return np.zeros_like(self.geometric), p[0] * self.geometric
+
+    def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """To the tension."""
+        return [(np.zeros_like(self.geometric), self.geometric)]
 
 
 @final
@@ -37,11 +54,12 @@ class AxialPreload(Mechanism):
         keep = value > 1e-9 * max(value.max(initial=0.0), 1e-300)
         if not keep.any() or value.max() <= 0:
             return
-        columns = vector[:, keep] * np.sqrt(value[keep])
-        law = Spring(("tension",), ("N",))
-        term = scalar_term(self, site, Place("global", "structure"), law, columns, positive=False)
-        if term is not None:
-            yield term
+        scale = site.scale(Spring(("tension",), ("N",)), vector[:, keep] * np.sqrt(value[keep]), np.zeros(1), 0)
+        if not np.isfinite(scale):
+            return
+        parameter = amount("tension", "N", scale, positive=False)
+        starts = scale * signed(SIZES, positive=False)[:, None]
+        yield Term(self, Place("global", "structure"), (parameter,), starts, data={"change": Tension(total)})
 
     def sense(self, term: Term, p: np.ndarray) -> str | None:
         """Either "tension" or "compression"."""

@@ -39,6 +39,22 @@ class Place:
         return f"{self.kind} {self.id}" + (f"-{self.to}" if self.to is not None else "")
 
 
+class Change(ABC):
+    """A change of the whole structure's matrices: what acts everywhere is taken to the modes, not to attachments."""
+
+    @abstractmethod
+    def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
+        """Change of M and K, each (n, n), at the term's parameters p, the structure's off nominal by `change`."""
+
+    @abstractmethod
+    def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """Its derivative to each parameter of the term."""
+
+    def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """Its derivative to each parameter of the structure; empty where there is none."""
+        return []
+
+
 @dataclass(frozen=True, eq=False)
 class Group:
     """Columns of motion that share one law and its parameters."""
@@ -82,6 +98,11 @@ class Term:
     groups: tuple[Group, ...] = ()
     variant: str = ""
     data: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> Change | None:
+        """The change of the whole structure's matrices that the term makes, if it is of that kind."""
+        return self.data.get("change")
 
     @property
     def n(self) -> int:

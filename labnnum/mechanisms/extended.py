@@ -96,8 +96,10 @@ class ExtendedStructure(Structure):
         if any(self.trim):
             self._trimmed(blocks)
         for added, p in zip(self.added, parts, strict=True):
-            if added.term.data.get("shear"):
-                self._sheared(blocks, p[0])
+            if added.term.whole is not None:
+                mass, stiffness = added.term.whole.matrices(p, own - self.inner.nominal)
+                blocks[0][: len(mass), : len(mass)] += mass
+                blocks[2][: len(mass), : len(mass)] += stiffness
             elif added.term.data.get("extra_mode"):
                 blocks = self._extra_mode(blocks, p)
             for group in added.term.groups:
@@ -111,11 +113,6 @@ class ExtendedStructure(Structure):
         n = len(self.trim)
         change = omega[:n] ** 2 * ((1 + np.array(self.trim)) ** 2 - 1)
         blocks[2] += (loads[:, :n] * change) @ loads[:, :n].T
-
-    def _sheared(self, blocks: list[NDArray], time: Any) -> None:
-        omega, _, loads = self._nominal_modes
-        change = omega**2 / (1 + 2 * time * omega) - omega**2
-        blocks[2] += (loads * change) @ loads.T
 
     def _extra_mode(self, blocks: list[NDArray], p: NDArray) -> list[NDArray]:
         w = 2 * np.pi * p[0]

@@ -133,14 +133,14 @@ def held_motions(structure: Structure) -> dict[str, Held]:
         if free is None:
             continue
         extra = [d for d in free.dofs if d.partition(":")[0] == support and d not in structure.dofs]
-        rows = [int(np.argmax(np.abs(np.real(free.participation(d, theta))))) for d in extra]
+        rows = np.array([int(np.argmax(np.abs(np.real(free.participation(d, theta))))) for d in extra], int)
         m = free.matrices(theta)
         mass, stiffness = np.real(m.M), np.real(m.K)
         rest = np.setdiff1d(np.arange(len(mass)), rows)
-        if not rows or rest.size != n:
+        if not rows.size or rest.size != n:
             continue
-        shape = np.zeros((len(mass), len(rows)))
-        shape[rows] = np.eye(len(rows))
+        shape = np.zeros((len(mass), rows.size))
+        shape[rows] = np.eye(rows.size)
         shape[rest] = -np.linalg.solve(stiffness[np.ix_(rest, rest)], stiffness[np.ix_(rest, rows)])
         own = shape.T @ stiffness @ shape
         own[np.abs(own) < 1e-7 * np.abs(stiffness[np.ix_(rows, rows)])] = 0.0  # free of others, it moves as a body

@@ -10,7 +10,7 @@ from labnnum.diagnosis.places import all_terms, places_of
 from labnnum.errors import ConfigError
 from labnnum.mechanisms import CATALOGUE, extend
 from labnnum.recording import Channel
-from labnnum.response import frf, frf_sensitivity
+from labnnum.response import frf, frf_sensitivity, modes
 from labnnum.structures import Beam
 from sessions.model import parse_model
 
@@ -109,11 +109,15 @@ def test_zero_parameters_exert_nothing(cantilever):
 def test_extended_structure_is_the_same_physics(cantilever):
     structure, outputs, inputs, engine = cantilever
     for term in some_terms(engine):
-        # a modal loss or shear over the modes in band only, and exchanged channels, are no matrices
-        if term.data.get("swap") or term.data.get("shear") or term.variant == "structure":
+        # a modal loss over the modes in band only, and exchanged channels, are no matrices
+        if term.data.get("swap") or term.variant == "structure":
             continue
         p = values_of(term)
         extended = extend(structure, [entry_of(term, p, outputs, inputs)])
+        if term.whole is not None:  # there modal damping follows the changed modes, in matrices it stays as it was
+            ours = engine.state(engine.theta0, [(term.whole, p)]).omega / (2 * np.pi)
+            np.testing.assert_allclose(ours, modes(extended, extended.nominal).frequency, rtol=1e-7)
+            continue
         theirs, slope = frf_sensitivity(extended, extended.nominal, FREQUENCY, outputs, inputs)
         ours = engine.response(engine.start([term], p), [term], S).value
         np.testing.assert_allclose(
@@ -177,3 +181,50 @@ def test_mistakes_in_a_model_are_named(cantilever):
         extend(structure, [{"id": "added-mass", "place": {"kind": "node", "id": "99"}, "parameters": {}}])
     with pytest.raises(ConfigError, match="'mass' is missing"):
         extend(structure, [{"id": "added-mass", "place": {"kind": "node", "id": "3"}, "parameters": {}}])
+
+
+def free_of(structure, node="1", turn=1e9, push=1e9):
+    """The structure on springs to the ground where its clamp was."""
+    free = structure.released(node)
+    m = free.matrices(free.nominal)
+    stiffness = m.K.copy()
+    stiffness[0, 0] += push
+    stiffness[1, 1] += turn
+    return m.M, stiffness
+
+
+def test_a_compliant_clamp_is_the_free_structure_on_springs(cantilever):
+    structure, _, inputs, engine = cantilever
+    _, terms = all_terms(engine, places_of(engine), CATALOGUE)
+    term = next(t for t in terms if t.mechanism.id == "support-compliance" and t.variant == "z and ry")
+    for turn, push in ((200.0, 4e5), (20.0, 2e4)):
+        mass, stiffness = free_of(structure, turn=turn, push=push)
+        rigid = np.tile([1.0, 0.0], len(mass) // 2)
+        based = inputs[0].role == "base"
+        load = -mass @ rigid if based else np.eye(len(mass))[6]
+        lines = S[:8].imag
+        exact = [np.linalg.solve(stiffness - w**2 * mass, load) - (rigid / w**2 if based else 0) for w in lines]
+        exact = -(lines**2) * np.array(exact)[:, [4, 8, 12]].T
+        point = engine.start([term], [1 / push, 1 / turn, 0.0])
+        point = replace(point, log_zeta=np.full_like(point.log_zeta, -20.0))
+        ours = engine.response(point, [term], 1j * lines).value[:, 0]
+        np.testing.assert_allclose(ours, exact, rtol=2e-3, atol=2e-3 * np.abs(exact).max())
+
+
+def test_shear_and_rotary_inertia_make_a_timoshenko_beam(tmp_path):
+    text = BEAM.format(base="").replace("height = 0.004", "height = 0.03").replace("elements = 6", "elements = 12")
+    slender = parse_model(text, tmp_path / "model.toml").structure
+    thick = parse_model(text.replace("[[structure.support]]", 'theory = "timoshenko"\nnu = 0.3\n[[structure.support]]'),
+                        tmp_path / "model.toml").structure  # fmt: skip
+    channels = [Channel("a", "acceleration", "response", "7", "z")], [Channel("f", "force", "reference", "4", "z")]
+    engine = Engine(slender, *channels, (10.0, 2e5))
+    _, terms = all_terms(engine, places_of(engine), CATALOGUE)
+    term = next(t for t in terms if t.mechanism.id == "shear-rotary")
+    radius2, wave = 0.03**2 / 12, term.whole.wave
+    assert wave == pytest.approx(np.sqrt(70e9 * 0.03**2 / 12 / 2700), rel=1e-6)
+    p = np.array([radius2 * (1 + 3.12) / (2 * wave)])
+    ours = engine.state(engine.theta0, [(term.whole, p)]).omega[:4] / (2 * np.pi)
+    exact = modes(thick, thick.nominal).frequency[:4]
+    bare = modes(slender, slender.nominal).frequency[:4]
+    assert np.abs(bare / exact - 1).max() > 0.1
+    np.testing.assert_allclose(ours, exact, rtol=6e-3)
