@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from drivers.block import Block
+from labnnum.errors import StoreError
 from labnnum.frf import Frf
 from sessions.exchange import channels_of, read_files
 from sessions.exchange.imported import ImportedRun
+from sessions.journal import journal_path
 from sessions.screen import screened
 from sessions.store import Session, create_session, publish, require_new
 from sessions.toml import read_toml
@@ -65,8 +67,12 @@ def import_files(
                 session.add_frf(found, {"files": _sources(paths), "channels_toml": told}, name=paths[0].name)
             _store(session, runs, paths, told, progress)
         publish(part, output)
+    except StoreError as error:
+        why = str(error).removeprefix(f"{part}: ").removeprefix(f"{part.name}: ").partition(";")[0]
+        raise StoreError(f"{output}: nothing was imported: {why}") from error
     finally:
-        part.unlink(missing_ok=True)
+        for left in (part, journal_path(part)):
+            left.unlink(missing_ok=True)
     return notes
 
 

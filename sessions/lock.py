@@ -36,7 +36,7 @@ class WriterLock:
     Raises
     ------
     StoreError
-        If a living process writes the session: names it, and says what to do.
+        If a living process writes the session: names it, and says what to do; or if nothing can be written there.
     """
 
     def __init__(self, path: Path) -> None:
@@ -50,9 +50,13 @@ class WriterLock:
                 f" {before.get('since')}; its lock is taken over, all it had acknowledged is kept"
             )
         own = {"pid": os.getpid(), "host": socket.gethostname(), "since": _now()}
-        os.ftruncate(self._fd, 0)
-        os.lseek(self._fd, 0, os.SEEK_SET)
-        os.write(self._fd, json.dumps(own).encode())
+        try:
+            os.ftruncate(self._fd, 0)
+            os.lseek(self._fd, 0, os.SEEK_SET)
+            os.write(self._fd, json.dumps(own).encode())
+        except OSError as error:
+            self.release()
+            raise StoreError(f"{path}: cannot be locked for writing ({error.strerror})") from error
 
     def release(self) -> None:
         """Give the session free."""

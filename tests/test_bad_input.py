@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 
 from drivers.block import Block
+from labnnum.errors import StoreError
 from labnnum.frf import Frf
 from labnnum.recording import Channel, Recording
 from sessions import cli
 from sessions.exchange.export import export_frf, export_recordings
+from sessions.runs import Run
 from sessions.store import create_session
 
 CHANNELS = """
@@ -285,10 +288,24 @@ def test_bad_input(case, tmp_path, monkeypatch, capsys):
     assert out == ""
     assert len(said.splitlines()) == 1, said
     assert said.startswith("labnnum: ")
-    import re
-
     assert re.search(expected, said), said
     assert status == 2
+    assert files(tmp_path) == before
+
+
+def test_a_disk_that_is_full_while_importing_leaves_nothing_behind(tmp_path, monkeypatch, capsys):
+    npz(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    before = files(tmp_path)
+
+    def full(run, block):
+        raise StoreError(f"{run.name}: the disk is full; everything acknowledged before is kept and readable")
+
+    monkeypatch.setattr(Run, "append", full)
+    monkeypatch.setattr(Run, "name", ".out.importing.h5", raising=False)
+    status, said, _ = run(monkeypatch, capsys, IMPORT)
+    assert status == 1
+    assert re.fullmatch(r"labnnum: out\.h5: nothing was imported: .*the disk is full\n", said), said
     assert files(tmp_path) == before
 
 

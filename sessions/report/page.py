@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -48,9 +49,13 @@ def write_report(
     out = Path(out)
     require_page(out)
     text = render(gather(session, extra), sections)
+    part = out.with_name(f".{out.name}.part")
     try:
-        out.write_text(text, encoding="utf-8")
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, out)
     except OSError as error:
+        with suppress(OSError):
+            part.unlink()
         raise FileError(f"{out}: cannot be written ({error.strerror}); choose another place with -o") from error
     return out
 
