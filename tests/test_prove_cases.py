@@ -25,6 +25,7 @@ from sessions.prove.truth.bench import first_modes
 from sessions.prove.truth.outside import OUTSIDE
 from sessions.prove.truth.respond import transfer
 from sessions.prove.truth.state import plant
+from sessions.prove.words import axis_name
 
 ALLOWED = [(k, f) for k in KINDS for f in MAKERS if f not in LAWS and fits(f, k, "multisine")]
 
@@ -127,6 +128,23 @@ def test_a_beam_in_its_own_words_is_the_beam_of_the_matrices(tmp_path, kind):
     assert modulus["nominal"] * beam["I"] == pytest.approx(bar.bending)
     assert beam["rho"] * beam["A"] == pytest.approx(bar.mass)
     assert sum(x["mass"] for x in beam["lump"]) == pytest.approx(sum(m for _, m in case.state.bench.coarse.lumps))
+
+
+@pytest.mark.parametrize("kind", ["base-beam", "free-beam", "frame"])
+def test_a_model_in_its_own_words_has_the_modes_of_the_nominal_mesh(tmp_path, kind):
+    from labnnum.response import modes
+    from sessions.model import read_model
+
+    cases = [conceal(s, kind) for s in range(40)]
+    for swing in "yz":
+        case = next(c for c in cases if c.native and c.state.bench.swing == swing)
+        write_case(measure(case), tmp_path / swing)
+        structure = read_model(tmp_path / swing / "model.toml").structure
+        exact = first_modes(case.state.bench.coarse, 8)
+        found = modes(structure, structure.nominal, 8).frequency
+        assert found == pytest.approx(exact, rel=1e-6, abs=1e-3 * exact[-1])
+        axes = {f"{s.node}:{'xyz'[(swing == 'y' and s.axis) or 2 * s.axis]}" for s in case.state.bench.sensors}
+        assert axes <= set(structure.dofs) | {f"1:{swing}"}
 
 
 def test_units_and_signs_of_a_channel_give_back_si(tmp_path):

@@ -39,7 +39,7 @@ class Case:
     runs: tuple[Run, ...]
     units: tuple[tuple[str, float], ...]
     native: bool = False
-    """Whether model.toml describes a beam in its own words, and not by matrices."""
+    """Whether model.toml describes a beam or frame in its own words, and not by matrices."""
 
     @property
     def truth(self) -> dict[str, Any]:
@@ -49,7 +49,7 @@ class Case:
             "seed": self.seed,
             "kind": self.state.bench.kind,
             "excitation": self.plan.excitation,
-            "model": "beam" if self.native else "matrices",
+            "model": self.state.bench.kind.split("-")[-1] if self.native else "matrices",
             "faults": [asdict(f) for f in self.state.faults],
             "theta": self.state.bench.theta,
             "sensors": len(self.state.bench.sensors),
@@ -124,7 +124,8 @@ def conceal(
     for what, how_much in zip(faults, severities, strict=True):
         state = MAKERS[what](fault_stream(seed, kind, what), state, float(how_much))
     plan, units = draw_plan(of_runs, state, excitation), _units(of_units, state)
-    native = list(bench.zones) == ["E"] and bool(of_units.random() < 0.6)
+    describable = list(bench.zones) == ["E"] or kind == "frame"
+    native = describable and bool(of_units.random() < 0.5)
     return Case(name, seed, state, plan, (), units, native)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sessions.prove.truth import fe
 from sessions.prove.truth.bench import Bench
 from sessions.prove.truth.session import analyser
+from sessions.prove.words import axis_name, own_words, strings
 
 if TYPE_CHECKING:
     from sessions.prove.cases import Case
@@ -51,10 +52,6 @@ def _write_runs(case: Case, folder: Path) -> list[Path]:
     return paths
 
 
-def _axis_name(bench: Bench, axis: int) -> str:
-    return ("x", bench.swing, "rz" if bench.swing == "y" else "ry")[axis]
-
-
 def channels_toml(case: Case) -> str:
     """Text of channels.toml."""
     bench, plan = case.state.bench, case.plan
@@ -65,13 +62,13 @@ def channels_toml(case: Case) -> str:
         lines += [f"period = {plan.samples}", f"drop_periods = {plan.drop}"]
     unit = case.units[0][0]
     if bench.base is not None:
-        entry = ("base", "acceleration", unit, "base", bench.feet[0], _axis_name(bench, bench.base))
+        entry = ("base", "acceleration", unit, "base", bench.feet[0], axis_name(bench, bench.base))
     else:
         assert bench.drive is not None
-        entry = ("force", "force", unit, "reference", bench.drive[0], _axis_name(bench, bench.drive[1]))
+        entry = ("force", "force", unit, "reference", bench.drive[0], axis_name(bench, bench.drive[1]))
     lines += _channel(*entry)
     for sensor, (unit, _) in zip(bench.sensors, case.units[1:], strict=True):
-        direction = ("-" if sensor.sign < 0 else "") + _axis_name(bench, sensor.axis)
+        direction = ("-" if sensor.sign < 0 else "") + axis_name(bench, sensor.axis)
         lines += _channel(sensor.name, QUANTITY[sensor.order][0], unit, "response", sensor.node, direction)
     return "\n".join(lines) + "\n"
 
@@ -87,7 +84,7 @@ def model_toml(case: Case) -> str:
     bench = case.state.bench
     low, high = bench.band
     lines = [
-        *(_native_beam(bench) if case.native else _of_matrices(bench)),
+        *(own_words(bench) if case.native else _of_matrices(bench)),
         "",
         "[damping]",
         'kind = "modal"',
@@ -99,44 +96,15 @@ def model_toml(case: Case) -> str:
         lines += ["", "[[parameter]]", f'name = "{name}"', *(f"{key} = {value!r}" for key, value in prior.items())]
         lines += ['unit = "Pa"'] if case.native else []
     lines += ["", "[[band]]", f"low = {low:.6g}", f"high = {high:.6g}", "", "[places]"]
-    lines += [f"nodes = {_strings(n for n in bench.coarse.named if n not in bench.feet)}"]
-    lines += [f"elements = [{', '.join(_strings(e) for e in bench.elements)}]"]
-    lines += [f"supports = {_strings(bench.feet)}"]
+    lines += [f"nodes = {strings(n for n in bench.coarse.named if n not in bench.feet)}"]
+    lines += [f"elements = [{', '.join(strings(e) for e in bench.elements)}]"]
+    lines += [f"supports = {strings(bench.feet)}"]
     return "\n".join(lines) + "\n"
 
 
 def _of_matrices(bench: Bench) -> list[str]:
     lines = ["[structure]", 'kind = "matrices"', 'file = "structure.npz"']
-    return lines if bench.base is None else [*lines, f'base = "{_axis_name(bench, bench.base)}"']
-
-
-def _native_beam(bench: Bench) -> list[str]:
-    """The nominal beam in its own words: an Euler-Bernoulli beam whose modulus is the parameter E."""
-    mesh, bar = bench.coarse, bench.coarse.bars[0]
-    numbers = {
-        "length": float(mesh.xy[-1, 0]),
-        "A": bar.axial / bench.modulus,
-        "I": bar.bending / bench.modulus,
-        "rho": bar.mass * bench.modulus / bar.axial,
-    }
-    lines = ["[structure]", 'kind = "beam"', 'theory = "euler-bernoulli"', f"elements = {len(mesh.bars)}"]
-    lines += [
-        f'direction = "{bench.swing}"',
-        'E = "E"',
-        *(f"{key} = {float(value)!r}" for key, value in numbers.items()),
-    ]
-    if bench.base is not None:
-        lines += [f'base = "{bench.swing}"']
-    for foot in bench.feet:
-        lines += ["[[structure.support]]", f'node = "{foot}"', 'kind = "clamped"']
-    name_of = {i: name for name, i in mesh.named.items()}
-    for dof, mass in mesh.lumps:
-        lines += ["[[structure.lump]]", f'node = "{name_of[dof // fe.DOFS_PER_NODE]}"', f"mass = {float(mass)!r}"]
-    return lines
-
-
-def _strings(items: Any) -> str:
-    return "[" + ", ".join(f'"{i}"' for i in items) + "]"
+    return lines if bench.base is None else [*lines, f'base = "{axis_name(bench, bench.base)}"']
 
 
 def matrices(bench: Bench) -> dict[str, NDArray]:
@@ -153,7 +121,7 @@ def matrices(bench: Bench) -> dict[str, NDArray]:
         part = fe.assemble(fe.zone_only(mesh, zone))[1]
         out[f"dK_{name}"] = part[block] * signs
     out["dofs"] = np.array(
-        [f"{name_of[d // fe.DOFS_PER_NODE]}:{_axis_name(bench, int(d % fe.DOFS_PER_NODE))}" for d in kept]
+        [f"{name_of[d // fe.DOFS_PER_NODE]}:{axis_name(bench, int(d % fe.DOFS_PER_NODE))}" for d in kept]
     )
     out["nodes"] = np.array([name_of[i] for i in range(len(mesh.xy))])
     xyz = np.zeros((len(mesh.xy), 3))
