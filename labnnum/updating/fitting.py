@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from labnnum.errors import EstimationError
-from labnnum.updating.network import KERNELS, RbfNetwork, squared_distances, tail_terms
+from labnnum.updating.network import KERNELS, RbfNetwork, kernel_values, squared_distances, tail_terms
 
 
 def require_samples(features: NDArray, parameters: NDArray, least: int = 4) -> tuple[NDArray, NDArray]:
@@ -338,7 +338,7 @@ def _solve_interpolant(
     u: NDArray, t: NDArray, kernel: str, degree: int, ridge: float
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Weights, tail weights and leave-one-out errors with every sample a centre."""
-    matrix = KERNELS[kernel](squared_distances(u, u))[0]
+    matrix = kernel_values(kernel, squared_distances(u, u))
     terms = tail_terms(u, degree)
     for _ in range(12):
         loaded = matrix.copy()
@@ -368,32 +368,39 @@ def _triangle(rows: NDArray) -> NDArray[np.float64]:
     return found
 
 
-def _solve_least_squares(
+def _triangular(
     u: NDArray, t: NDArray, centres: NDArray, kernel: str, degree: int, block: int = 4096
-) -> tuple[NDArray, NDArray, NDArray]:
-    """Weights, tail weights and leave-one-out errors with fewer centres, by QR in blocks of rows.
+) -> tuple[NDArray, NDArray]:
+    """R and the solution of the least squares fit, by QR in blocks of rows.
 
     A ridge of 1e-10 of the largest pivot is added as extra rows, so that centres that all but coincide stay
     harmless. Memory is that of one block, whatever the number of samples.
     """
-    n_out, m = t.shape[1], len(centres)
-
-    def rows(part: slice) -> NDArray:
-        phi = KERNELS[kernel](squared_distances(u[part], centres))[0]
-        return np.hstack([phi, tail_terms(u[part], degree)])
-
-    width = m + tail_terms(u[:1], degree).shape[1]
+    n_out, width = t.shape[1], len(centres) + tail_terms(u[:1], degree).shape[1]
     size = np.sqrt(len(u))
     triangle = np.hstack([1e-10 * size * np.eye(width), np.zeros((width, n_out))])
     for start in range(0, len(u), block):
         part = slice(start, start + block)
-        triangle = _triangle(np.vstack([triangle, np.hstack([rows(part), t[part]])]))
-    r, rhs = triangle[:width, :width], triangle[:width, width:]
-    solution = linalg.solve_triangular(r, rhs, check_finite=False)
+        triangle = _triangle(np.vstack([triangle, np.hstack([_terms(u[part], centres, kernel, degree), t[part]])]))
+    r = triangle[:width, :width]
+    return r, linalg.solve_triangular(r, triangle[:width, width:], check_finite=False)
+
+
+def _terms(u: NDArray, centres: NDArray, kernel: str, degree: int) -> NDArray[np.float64]:
+    """Kernel values and tail terms of rows, shape (n, n_centres + n_terms)."""
+    return np.hstack([kernel_values(kernel, squared_distances(u, centres)), tail_terms(u, degree)])
+
+
+def _solve_least_squares(
+    u: NDArray, t: NDArray, centres: NDArray, kernel: str, degree: int, block: int = 4096
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Weights, tail weights and leave-one-out errors with fewer centres."""
+    r, solution = _triangular(u, t, centres, kernel, degree, block)
     errors = []
     for start in range(0, len(u), block):
         part = slice(start, start + block)
-        a = rows(part)
+        a = _terms(u[part], centres, kernel, degree)
         leverage = (linalg.solve_triangular(r.T, a.T, lower=True, check_finite=False) ** 2).sum(axis=0)
         errors.append((t[part] - a @ solution) / np.maximum(1 - leverage, 1e-12)[:, None])
+    m = len(centres)
     return solution[:m], solution[m:], np.vstack(errors)

@@ -54,6 +54,18 @@ KERNELS: dict[str, Profile] = {
 """Kernel name -> function of the squared distance s that gives phi(s) and dphi/ds."""
 
 
+_ROWS = 256
+"""Feature vectors that are answered together: their distances stay in the processor's cache."""
+
+
+def kernel_values(kernel: str, s: NDArray) -> NDArray[np.float64]:
+    """phi(s) of a kernel, without its derivative; s may be written over."""
+    if kernel == "gaussian":
+        s *= -0.5
+        return np.exp(s, out=s)
+    return KERNELS[kernel](s)[0]
+
+
 def squared_distances(a: NDArray, b: NDArray) -> NDArray[np.float64]:
     """Squared Euclidean distances between rows, shape (len(a), len(b))."""
     s = a @ (-2.0 * b.T)
@@ -158,8 +170,10 @@ class RbfNetwork:
         """Parameters for one feature vector (n_features,) or for many (n, n_features)."""
         z = self.inputs(features)
         rows = np.atleast_2d(z)
-        phi = KERNELS[self.kernel](squared_distances(rows, self.centres))[0]
-        y = phi @ self.weights
+        y = np.empty((len(rows), self.n_outputs))
+        for start in range(0, len(rows), _ROWS):
+            part = rows[start : start + _ROWS]
+            y[start : start + _ROWS] = kernel_values(self.kernel, squared_distances(part, self.centres)) @ self.weights
         if self.degree >= 0:
             y += tail_terms(rows, self.degree) @ self.tail
         return (self.shift + self.scale * y).reshape(*z.shape[:-1], -1)

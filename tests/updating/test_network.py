@@ -3,6 +3,7 @@ import pytest
 from scipy.interpolate import RBFInterpolator
 
 from labnnum.errors import EstimationError
+from labnnum.updating.compiled import compiled
 from labnnum.updating.fitting import (
     _loo_objective,
     descend_gamma,
@@ -158,3 +159,21 @@ def test_what_is_refused():
         fit_tuned(np.ones((50, 3)), Y[:50])
     with pytest.raises(EstimationError, match="takes 4 features, not 3"):
         fit_tuned(X, Y)(X[:, :3])
+
+
+@pytest.mark.parametrize("degree", [-1, 0, 1, 2])
+def test_the_compiled_network_answers_the_same(degree):
+    net = fit_tuned(X, Y, degree=degree)
+    assert net.degree == degree
+    answer = compiled(net)
+    for row in X[:3] + 0.01:
+        assert np.allclose(answer(row), net(row), rtol=1e-5)
+    with pytest.raises(EstimationError, match="only a gaussian kernel"):
+        compiled(fit_printed(X, Y))
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_many_at_once_equal_one_after_the_other(kernel):
+    net = fit_tuned(X, Y, kernel=kernel)
+    many = RNG.random((600, 4))
+    assert np.allclose(net(many), [net(row) for row in many], rtol=1e-5)
