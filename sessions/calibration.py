@@ -165,7 +165,7 @@ def calibrated(table: RigChannel, known: Calibration, where: str = "") -> RigCha
     if sensitivity is not None:
         quantity = table.measured()
         _require_same(where, table.name, "sensitivity", stated(table), sensitivity.instead_of)
-        changes |= {"sensitivity": sensitivity.value, "unit": SI_UNITS[quantity], "quantity": quantity}
+        changes |= {"sensitivity": sensitivity.value, "unit": SI_UNITS[quantity], "quantity": quantity, "gain": 1.0}
     full = _last(known.full_scale, table.name)
     if full is not None:
         _require_same(where, table.name, "full_scale", table.full_scale, full.instead_of)

@@ -17,7 +17,7 @@ docs/bench.md describes every key; `labnnum init` writes a commented one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -61,12 +61,22 @@ class DeviceTable(Table):
 
 
 class RigChannel(ChannelTable):
-    """One [[channel]] of the bench."""
+    """One [[channel]] of the bench; `gain` is that of the conditioner between sensor and input."""
 
     input: Count | None = None
     full_scale: Positive | None = 10.0
+    gain: Positive = 1.0
     warn: Positive | None = None
     stop: Positive | None = None
+
+    def stored(self, where: str) -> StoredChannel:
+        """How volts at the input become SI units."""
+        one = super().stored(where)
+        if self.gain == 1.0:
+            return one
+        given = one.channel.sensitivity
+        channel = replace(one.channel, sensitivity=None if given is None else given * self.gain)
+        return replace(one, channel=channel, scale=one.scale / self.gain)
 
 
 class GeneratorTable(Table):

@@ -123,6 +123,20 @@ def test_another_sensor_in_rig_toml_asks_for_another_calibration(rig):
     assert sensitivities(rig)[1] == pytest.approx(1.04 * 0.05 / STANDARD_GRAVITY, rel=2e-4)
 
 
+def test_the_gain_of_a_conditioner_counts_and_a_calibration_holds_for_it(rig):
+    rig.write_text(rig.read_text().replace("sensitivity = 0.1", "sensitivity = 0.1\ngain = 10"))
+    found = read_rig(rig)
+    row = found.index("tip")
+    assert found.channels[row].sensitivity == pytest.approx(1.0 / STANDARD_GRAVITY)  # 1 V at the input for 1 g
+    np.testing.assert_allclose(found.stored[row].to_si([1.0]), [STANDARD_GRAVITY])
+    run(rig, "tip", "--seconds", 4)
+    found = read_rig(rig)
+    assert found.channels[row].sensitivity == pytest.approx(1.04 / STANDARD_GRAVITY, rel=2e-3)
+    rig.write_text(rig.read_text().replace("gain = 10", "gain = 100"))
+    with pytest.raises(ConfigError, match="was calibrated when its sensitivity was given as"):
+        read_rig(rig)
+
+
 def test_a_channel_without_a_sensitivity_gets_one(rig):
     rig.write_text(RIG.replace("sensitivity = 0.1\n", ""))
     with pytest.raises(ConfigError, match="channel 'tip' has no sensitivity"):
