@@ -32,6 +32,8 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "k_theta": ("k_theta", "stiffness"),
 }
 """Names under which an answer may give a concealed parameter, besides its own."""
+EITHER_WAY = ("quadratic-stiffness",)
+"""Laws whose constant changes sign with the sense in which a joint's two nodes are named."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,8 @@ def parameter_errors(mechanism: Mapping[str, Any], fault: Mapping[str, Any]) -> 
         given = _parameter(mechanism, name)
         if given is None or true["value"] == 0:
             continue
-        wrong = given[0] - true["value"]
+        flip = -1.0 if fault["mechanism"] in EITHER_WAY and given[0] * true["value"] < 0 else 1.0
+        wrong = flip * given[0] - true["value"]
         out[f"{fault['mechanism']}.{name}"] = (
             wrong / abs(true["value"]),
             wrong / given[1] if given[1] > 0 else float("nan"),

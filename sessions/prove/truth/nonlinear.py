@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sessions.prove.truth import march
 from sessions.prove.truth.physics import (
+    across,
     any_element,
     any_node,
     band,
@@ -122,17 +123,21 @@ def _blow_size(state: State, watch: Plant) -> tuple[float, float]:
     return float(np.max(np.abs(z)) / 2), float(np.max(np.abs(np.gradient(z, 1 / rate))) / 2)
 
 
-def _spot(rng: Generator, state: State, lossy: bool) -> tuple[NDArray[np.float64], dict]:
-    """Where a law sits: from a node to the fixture, or across a joint.
+def _spot(rng: Generator, state: State, lossy: bool) -> tuple[NDArray[np.float64], dict, bool]:
+    """Where a law sits: from a node to the fixture, or across a joint; and whether it works on an angle.
 
-    A floating beam would be pushed away for good by a spring law from the fixture: there it gets joints only.
+    Across a joint of a beam or frame it works on the angle between the nodes, or on their motion across. A
+    floating beam would be pushed away for good by a spring law from the fixture: there it gets joints only.
     """
     grounded = rng.random() < (0.5 if state.bench.kind == "chain" else 0.75)
     if grounded and (lossy or state.bench.kind != "free-beam"):
         node, axis = any_node(rng, state)
-        return node_row(state, node, axis), ground(node)
+        return node_row(state, node, axis), ground(node), False
     home = any_element(rng, state, free=True)
-    return strain_row(state, home)[0], joint(home)
+    if state.bench.kind == "chain" or rng.random() < 0.5:
+        return strain_row(state, home)[0], joint(home), state.bench.kind != "chain"
+    axis = 1 if state.bench.kind != "frame" else across(state.bench.coarse, home[1])
+    return node_row(state, home[1], axis) - node_row(state, home[0], axis), joint(home), False
 
 
 LOSSY = ("coulomb-friction", "quadratic-damping", "stick-slip", "hysteresis", "van-der-pol-damping")
@@ -144,9 +149,11 @@ def law(name: str, choose: Callable[[Generator, float, Sizes], Choice], inside: 
     """Maker of one nonlinear fault; `choose` takes severity and (z, v, stiffness, w1) to the law's constants."""
 
     def maker(rng: Generator, state: State, severity: float) -> State:
-        row, place = _spot(rng, state, name in LOSSY)
+        row, place, turns = _spot(rng, state, name in LOSSY)
         sizes = (*stretch(state, row), yardstick(state)[1])
         kind, constants, share, measure_of, parameters, sense = choose(rng, severity, sizes)
+        if turns:
+            parameters = {k: {**v, "unit": f"{v['unit']}, of the angle"} for k, v in parameters.items()}
         accept = (("hysteresis", place),) if sense == "iwan" else ()
         fault = Fault(name, inside, place, severity, share, measure_of, parameters, sense, accept=accept)
         return found(state, fault, laws=(*state.laws, LawTerm(kind, constants, row[0])))

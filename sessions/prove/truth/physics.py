@@ -67,10 +67,10 @@ def any_node(rng: Generator, state: State) -> tuple[str, int]:
     node = nodes[int(rng.integers(len(nodes)))]
     if bench.kind == "chain":
         return node, 0
-    return node, 1 if bench.kind != "frame" else _across(bench.coarse, node)
+    return node, 1 if bench.kind != "frame" else across(bench.coarse, node)
 
 
-def _across(mesh: fe.Mesh, node: str) -> int:
+def across(mesh: fe.Mesh, node: str) -> int:
     """Axis across the bars at a node; axis x at a joint of a portal, which sways."""
     number = mesh.named[node]
     steps = [np.abs(mesh.xy[b.ends[1]] - mesh.xy[b.ends[0]]) for b in mesh.bars if number in b.ends]
