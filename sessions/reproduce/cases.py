@@ -93,7 +93,7 @@ def _duffing(scales: bool) -> Case:
     bands = tuple(Band(float(hertz[a]), float(hertz[b])) for a, b in ((0, 20), (20, 40), (40, 60)))
     make = (lambda: ScalesBatch(oscillator, hertz)) if scales else (lambda: SweepBatch(oscillator, hertz))
     return Case(
-        "duffing-scales" if scales else "duffing",
+        "duffing-scales" if scales else "duffing-balance",
         f"Duffing oscillator, {'multiple scales' if scales else 'harmonic balance'}",
         make, ("forward", "backward"), bands, hertz, 300, _zip("mu alpha", "0.47 1.43", "6.5 19.9"), "section 5.5",
     )  # fmt: skip
@@ -156,7 +156,7 @@ def _cases() -> dict[str, Callable[[], Case]]:
         "frame": lambda: named("frame", "Flexible frame of 96 degrees of freedom",
                                _zip("L m_bp alpha beta", "1.11 11.7 10.5 54.9", "8.19 108 231 476"), "table 5.7"),
         "duffing-scales": lambda: _duffing(True),
-        "duffing": lambda: _duffing(False),
+        "duffing-balance": lambda: _duffing(False),
     }  # fmt: skip
 
 
