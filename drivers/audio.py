@@ -84,7 +84,7 @@ def find_device(name: str | int, direction: Direction = "input") -> int:
         There is none, or several; the message lists those that there are.
     """
     there = devices(direction)
-    listed = "; ".join(f"{i}: {n}, {c} {direction}s" for i, n, c, _ in there) or f"none has {direction}s"
+    listed = "; ".join(f"{i}: {n}, {c} {direction}s" for i, n, c, _ in there) or f"none with {direction}s"
     if name == "":
         name = portaudio().default.device[0 if direction == "input" else 1]
         if name == -1:
