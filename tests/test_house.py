@@ -100,6 +100,23 @@ def test_examples_in_docstrings(name):
     assert not failed
 
 
+def test_the_map_names_every_room():
+    """Each folder of code by its name: docs/architecture.md is the map."""
+    told = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rooms = {path.parent for path in SOURCES if path.name == "__init__.py"} - {ROOT / p for p in PACKAGES}
+    missing = [shown(room) for room in sorted(rooms) if f"{room.name}/" not in told]
+    assert not missing
+
+
+def test_every_page_is_linked():
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    pages = [p.name for p in sorted((ROOT / "docs").glob("*.md")) if p.name != "index.md"]
+    assert [name for name in pages if f"({name})" not in index] == []
+    for page in (*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CHANGELOG.md"):
+        for link in re.findall(r"\]\(([\w./-]+\.md)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{shown(page)} links to {link}"
+
+
 def test_the_commands_are_those_listed():
     from sessions.cli import COMMANDS, app
 
