@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ def diagnose(
     limits: Limits | None = None,
     catalogue: Sequence[Mechanism] = CATALOGUE,
     progress: Callable[[str], None] = lambda text: None,
+    nonlinear: bool = True,
 ) -> Diagnosis:
     """Verdict on whether `structure` explains the observations, and if not, what is missing and where.
 
@@ -56,6 +58,8 @@ def diagnose(
         Ordinary errors of a sound model and bench.
     limits : Limits, optional
         Thresholds of the decision.
+    nonlinear : bool
+        Whether nonlinear signs are looked for (periodic runs), and their law taken out before the linear search.
 
     Returns
     -------
@@ -80,6 +84,16 @@ def diagnose(
     inner, initial = _taken_apart(structure, train)
     engine = Engine(inner, train.outputs, train.inputs, band)
     where = places_of(engine, places)
+    if nonlinear and not initial:
+        from labnnum.diagnosis.nonlinear.merge import nonlinear_first
+
+        again = partial(
+            diagnose, structure, places=places, span=span, scatter=scatter, limits=limits, catalogue=catalogue,
+            progress=progress, nonlinear=False,
+        )  # fmt: skip
+        whole = nonlinear_first(engine, gate, observations, held_out, where, scatter, limits, span, again, progress)
+        if whole is not None:
+            return whole
     _, terms = all_terms(engine, where, catalogue)
     _, general = all_terms(engine, where, (LocalLaw(),))
     measured = all(o.kind != "frf" for o in observations)
@@ -242,25 +256,34 @@ def _decide(
     engine: Engine, train: Frf, test: Frf, selection: Selection, scatter: Scatter, limits: Limits,
     observations: Sequence[Observation], general: Sequence[Term], gated: tuple[Named, ...] = (),
 ) -> Diagnosis:  # fmt: skip
-    base, final = selection.chain[0], selection.chain[-1]
+    base = selection.chain[0]
     stage = selection.stages[0] if selection.stages else ()
     data = data_of(choose_lines(train), scatter)
     lines = choose_lines(train)
-    plain_base = trimmed(engine, lines, base.fit, scatter)
-    plain_final = trimmed(engine, lines, final.fit, scatter) if final is not base else plain_base
-    base_error = _errors(engine, plain_base, train, test)
-    extended_error = _errors(engine, plain_final, train, test)
     measured = all(o.kind != "frf" for o in observations)
+    plain_base = trimmed(engine, lines, base.fit, scatter)
+    base_error = _errors(engine, plain_base, train, test)
+    selection, plain_final, extended_error = _worthwhile(
+        engine,
+        lines,
+        selection,
+        limits,
+        scatter,
+        (plain_base, base_error),
+        lambda made: _errors(engine, made, train, test),
+    )
+    final = selection.chain[-1]
     verdict, named, reason = _verdict(selection, limits, data, measured)
     if named and extended_error[1] > limits.improve * base_error[1]:
-        gained = (base.cost - final.cost) / dispersion(final.fit, data)
-        loud = gained > 10 * limits.alarm or (measured and base.fit.objective > limits.misfit * 2 * data.value.size)
         verdict, named, reason = (
-            "unexplained" if loud else "consistent",
+            "unexplained",
             (),
             f"the best name, {named[0].term.mechanism.id} at {named[0].place},"
             " does not improve the prediction of data held out",
         )
+    if verdict == "unexplained" and not _missing(engine, lines, selection, limits, scatter, data, train, test,
+                                                 base_error, extended_error, measured):  # fmt: skip
+        verdict = "consistent"
     if gated:
         named = (*gated, *named)
         verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
@@ -291,6 +314,38 @@ def _decide(
     return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
 
 
+def _worthwhile(
+    engine: Engine, lines: Frf, selection: Selection, limits: Limits, scatter: Scatter,
+    base: tuple[Fit, tuple[float, float]], errors: Callable[[Fit], tuple[float, float]],
+) -> tuple[Selection, Fit, tuple[float, float]]:  # fmt: skip
+    """The chain as far as each further mechanism improves the prediction; its model as used, and its errors."""
+    chain = list(selection.chain[:1])
+    plain, error = base
+    for i, candidate in enumerate(selection.chain[1:]):
+        made = trimmed(engine, lines, candidate.fit, scatter)
+        told = errors(made)
+        if i and told[1] > limits.improve_further * error[1]:
+            break
+        chain.append(candidate)
+        plain, error = made, told
+    return replace(selection, chain=tuple(chain), stages=selection.stages[: max(len(chain) - 1, 1)]), plain, error
+
+
+def _missing(
+    engine: Engine, lines: Frf, selection: Selection, limits: Limits, scatter: Scatter, data: Data, train: Frf,
+    test: Frf, base_error: tuple[float, float], extended_error: tuple[float, float], measured: bool,
+) -> bool:  # fmt: skip
+    """Whether something is missing though it has no name: the base is far off, or some extension predicts better."""
+    if measured and selection.chain[0].fit.objective > limits.misfit * 2 * data.value.size:
+        return True
+    if extended_error[1] < limits.doubt * base_error[1]:
+        return True
+    law = selection.general
+    if law is None:
+        return False
+    return _errors(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1] < limits.doubt * base_error[1]
+
+
 def _moved(engine: Engine, made: Fit) -> bool:
     """Whether the data asked for parameters other than nominal, beyond two of their standard deviations."""
     n = engine.theta0.size
@@ -314,7 +369,7 @@ def _verdict(
         if behind > max(limits.alarm, limits.behind * total):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
     left = final.fit.objective / (2 * data.value.size)
-    if measured_noise and left > limits.misfit and final.fit.objective > limits.share * base.fit.objective:
+    if measured_noise and left > limits.misfit and final.fit.objective > limits.remains * base.fit.objective:
         return "unexplained", (), "what the best mechanism leaves is far more than noise"
     if lead < limits.name and len(selection.chain) == 2:
         return "unexplained", (), "two mechanisms explain it equally well"
@@ -327,8 +382,8 @@ def _verdict(
 
 
 def _lead(stage: Sequence[Candidate], best: Candidate) -> float:
-    """How far the best stands before the next of another name or place."""
-    others = [c.cost for c in stage if not same_answer(c.last, best.last)]
+    """How far the best stands before the next at another place."""
+    others = [c.cost for c in stage if c.last.place != best.last.place]
     return min(others) - best.cost if others else np.inf
 
 

@@ -94,6 +94,8 @@ class Response:
     """(n_out, n_in, n_f): factor from displacement to what each channel reads."""
     rest: NDArray | None = None
     """(n_out, n_in, n_f): displacement that modes outside the band contribute."""
+    rigid: NDArray | None = None
+    """(n_out, n_in, n_f): displacement of the rigid-body modes; None where the structure has none."""
 
 
 class Engine:
@@ -402,7 +404,9 @@ class _Evaluation:
         b = e.band_modes
         outside = self.outside
         rest = _dot(st.out[outside].T, self.d[outside][:, None] * self.load[outside][:, :, None])
-        return Response(value, jac, q[b], p_out[b], lift * chain, rest)
+        n = e.rigid_modes
+        rigid = _dot(st.out[:n].T, self.d[:n][:, None] * self.load[:n][:, :, None]) if n else None
+        return Response(value, jac, q[b], p_out[b], lift * chain, rest, rigid)
 
     def ingredients(self, own: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """For the last `own` columns of motion, with the columns before them coupled: x (o, i, f), and the
@@ -621,7 +625,7 @@ def _mode_derivatives(stiff: NDArray, mass: NDArray, value: NDArray) -> tuple[ND
     safe = np.maximum(value, 1e-10 * value.max())
     d_log = np.where(value > 1e-10 * value.max(), (np.diag(stiff) - value * np.diag(mass)) / (2 * safe), 0.0)
     gap = value[None, :] - value[:, None]  # lambda_r - lambda_s for column r, row s
-    apart = np.abs(gap) > 1e-9 * np.maximum(value[None, :], 1e-3 * value.max())
+    apart = np.abs(gap) > 1e-9 * np.maximum(np.abs(value[None, :]), 1e-3 * value.max())
     mix = np.where(apart, (stiff - value[None, :] * mass) / np.where(apart, gap, 1.0), 0.0)
     np.fill_diagonal(mix, -np.diag(mass) / 2)
     return d_log, mix

@@ -25,7 +25,8 @@ class Scatter:
 
     `frequency`, `residue`, `shape`, `gain`: relative; `damping`: of the logarithm; `phase`: of a channel, in rad, both
     constant and growing to that much at the top of the band; `complexity`: imaginary part of a shape; `remainder`:
-    relative, of what modes outside the band contribute; `floor`: relative residual that nothing explains.
+    relative, of what modes outside the band contribute; `floor`: relative residual that nothing explains;
+    `suspension`: relative change of a free structure's rigid-body response at the lowest line.
     """
 
     frequency: float = 0.003
@@ -37,6 +38,7 @@ class Scatter:
     complexity: float = 0.01
     remainder: float = 0.1
     floor: float = 0.003
+    suspension: float = 0.1
     trim: float = 0.0
     """Where positive, frequencies and loads are free within so many standard deviations and nothing is marginalised:
     a model as it would be used, trimmed within what a sound one needs."""
@@ -172,7 +174,12 @@ class Problem:
                 0.3 * sc.remainder * typical * r.lift,
             ]
         )
-        return self._rows(np.concatenate([shapes, 1j * (sc.complexity / sc.shape) * shapes, others]))
+        parts = [shapes, 1j * (sc.complexity / sc.shape) * shapes, others]
+        if r.rigid is not None:  # soft springs and their loss under a free structure: a share that falls as 1/s^2
+            low = np.min(np.abs(self.data.s.imag))
+            held = sc.suspension * r.rigid * r.lift * (low / self.data.s) ** 2
+            parts.append(np.stack([held, 0.5j * held]))
+        return self._rows(np.concatenate(parts))
 
     def value(self, x: NDArray, like: _Normal) -> float:
         """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""

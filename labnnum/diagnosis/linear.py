@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +48,17 @@ class Selection:
     """Place -> the most that any term there removed from the base's objective, fitted or scored."""
 
 
+QUIET = 0.25
+"""Least dispersion that is believed: smaller residuals may be luck, larger ones are taken as they are."""
+
+
 def dispersion(made: Fit, data: Data) -> float:
-    """By how much the residuals of the best model exceed what they were given; gains are divided by it.
+    """Ratio of the residuals' variance to the assumed one, for the best model; gains are divided by it.
 
     McCullagh and Nelder (1989), section 4.5: with errors larger than assumed, differences of chi-square are too large
     by the same factor.
     """
-    return max(1.0, made.data_part / (2 * data.value.size))
+    return max(QUIET, made.data_part / (2 * data.value.size))
 
 
 def choose_lines(frf: Frf, n: int = 400) -> Frf:
@@ -94,6 +99,8 @@ class Task:
     ladder: tuple[Data, ...]
     scatter: Scatter
     limits: Limits
+    counts: Mapping[str, int] = field(default_factory=dict)
+    """How many terms each mechanism has: a name that may act in many places matches by chance more often."""
 
     def down(self, terms: Sequence[Term], x: NDArray, first: int = 0) -> Fit:
         """Fit the broadened data from rung `first` to the finest, then the thinned lines."""
@@ -110,7 +117,8 @@ class Task:
 
     def priced(self, terms: tuple[Term, ...], made: Fit) -> Candidate:
         """The fit as a candidate: its objective plus the price of its terms' parameters."""
-        return Candidate(terms, made, made.objective + self.limits.parameter * sum(_count(t) for t in terms))
+        places = 2.0 * sum(np.log(self.counts.get(t.mechanism.id, 1)) for t in terms)
+        return Candidate(terms, made, made.objective + self.limits.parameter * sum(_count(t) for t in terms) + places)
 
 
 def base_fit(task: Task, held: Sequence[Term], start: Point) -> Fit:
@@ -133,12 +141,12 @@ LOOSE = Scatter(
 def with_noise_found(task: Task, held: Sequence[Term], start: Point) -> Data:
     """The data with `sigma` raised to what the structure's modes leave when they may have any frequency and shape."""
     made = base_fit(replace(task, scatter=LOOSE), held, start)
-    return replace(task.data, sigma=task.data.sigma * np.sqrt(dispersion(made, task.data)))
+    return replace(task.data, sigma=task.data.sigma * np.sqrt(max(dispersion(made, task.data), 1.0)))
 
 
 def select(
     engine: Engine, frf: Frf, terms: Sequence[Term], general: Sequence[Term], scatter: Scatter, limits: Limits,
-    *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 7,
+    *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 8,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Selection:  # fmt: skip
     """Add the best term while it pays (`limits`), `depth` at most.
@@ -162,7 +170,8 @@ def select(
     held = tuple(t for t, _ in initial)
     start = engine.start(held, np.concatenate([np.empty(0), *(p for _, p in initial)]))
     ladder = tuple(broaden(engine, data, start, held, k) for k in LADDER)
-    task = Task(engine, data, thin(data), ladder, scatter, limits)
+    counts = Counter(t.mechanism.id for t in terms)
+    task = Task(engine, data, thin(data), ladder, scatter, limits, counts)
     if not measured_noise:
         progress("estimating the noise")
         data = with_noise_found(task, held, start)
@@ -180,7 +189,7 @@ def select(
             break
         stages.append(tuple(found))
         if stage == 0:
-            laws = _stage(task, general, chain[0], 4) if general else []
+            laws = _stage(replace(task, counts={}), general, chain[0], 4) if general else []
             law = laws[0] if laws else None
             for c in [*found, *laws[:1]]:
                 place = c.last.place
@@ -206,10 +215,16 @@ def _simplest(found: Sequence[Candidate], limits: Limits) -> Candidate:
 def _try(task: Task, lead: Lead, before: Candidate, first: int | None = None) -> Candidate:
     """Fit of the model before with the lead's term, on the thinned lines; down the ladder from rung `first`."""
     terms = (*before.terms, lead.term)
-    nominal = first == 0 and not before.terms
-    old = task.engine.start() if nominal else before.fit.point
+    old = _afresh(task.engine, before) if first == 0 else before.fit.point
     x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
     return task.priced(terms, task.down(terms, x, len(task.ladder) if first is None else first))
+
+
+def _afresh(engine: Engine, before: Candidate) -> Point:
+    """The model before with its terms as they are and everything else at its start: errors that were fitted without
+    the next mechanism may stand in its way.
+    """
+    return engine.start(before.terms, before.fit.point.terms)
 
 
 def _count(term: Term) -> int:
@@ -220,12 +235,14 @@ def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> 
     """The best candidates with one more term, best first: leads of both scores, fitted, raced, and fitted finely."""
     engine, scatter = task.engine, task.scatter
     x = before.fit.point.vector()
-    nominal = x if before.terms else engine.start().vector()
+    nominal = _afresh(engine, before).vector()
     fine = shortlist(direction_score(engine, task.coarse, scatter, terms, x, before.terms), width)
     rough = shortlist(grid_score(engine, task.ladder[0], scatter, terms, nominal, before.terms), width)
     found = [_try(task, lead, before) for lead in fine]
     found += [_try(task, _faint(lead), before) for lead in fine[:5]]
     found += [_try(task, lead, before, 0) for lead in rough]
+    for lead in rough[:4]:
+        found += [_try(task, replace(lead, start=p), before, rung) for p in lead.others for rung in (0, 2)]
     if found:
         winner = min(found, key=lambda c: c.cost)
         done = {id(c.last) for c in found if c.cost < before.cost}

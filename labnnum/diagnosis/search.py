@@ -27,6 +27,8 @@ class Lead:
     term: Term
     start: NDArray[np.float64]
     gain: float
+    others: tuple[NDArray[np.float64], ...] = ()
+    """Further starts worth a try, best first, each far from those before it."""
 
 
 class Profile:
@@ -141,9 +143,24 @@ def grid_score(
             continue
         value = sweep(engine, point, term, term.starts, data.s, held)
         objective = profile.objective(profile.rows(data.value[None] - value))
-        best = int(np.argmin(objective))
-        leads.append(Lead(term, term.starts[best], base - float(objective[best])))
+        order = _apart(term.starts, np.argsort(objective, kind="stable"))
+        best = order[0]
+        others = tuple(term.starts[i] for i in order[1:])
+        leads.append(Lead(term, term.starts[best], base - float(objective[best]), others))
     return leads
+
+
+def _apart(starts: NDArray, order: NDArray, n: int = 3) -> list[int]:
+    """The first `n` of `order` whose starts differ from each other by more than a factor of three in some parameter."""
+    kept: list[int] = []
+    for i in order:
+        ratios = [np.abs(np.log(np.maximum(np.abs(starts[i]), 1e-300) / np.maximum(np.abs(starts[j]), 1e-300)))
+                  for j in kept]  # fmt: skip
+        if all(r.size and r.max() > np.log(3.1) for r in ratios):
+            kept.append(int(i))
+        if len(kept) == n:
+            break
+    return kept
 
 
 def direction_score(
@@ -195,16 +212,16 @@ def _mode_lead(engine: Engine, profile: Profile, term: Term, data: Data, point: 
 
 
 def shortlist(leads: Sequence[Lead], n: int) -> list[Lead]:
-    """The `n` best, at most one per mechanism, place and variant, and the best of each mechanism within reach."""
-    ordered = sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n))
-    out: list[Lead] = []
-    mechanisms: dict[str, int] = {}
-    for lead in ordered:
-        count = mechanisms.get(lead.term.mechanism.id, 0)
-        if lead.gain <= 3.0 * lead.term.n or count >= max(3, n // 3):
-            continue
-        mechanisms[lead.term.mechanism.id] = count + 1
-        out.append(lead)
-        if len(out) == n:
+    """At most `n` leads: the best of the best mechanisms, then the best of the rest, three a mechanism at most."""
+    worth = sorted((x for x in leads if x.gain > 3.0 * x.term.n), key=lambda x: -(x.gain - 3.0 * x.term.n))
+    first: dict[str, Lead] = {}
+    for lead in worth:
+        first.setdefault(lead.term.mechanism.id, lead)
+    out = list(first.values())[: max(n - 3, n // 2)]
+    for lead in worth:
+        if len(out) >= n:
             break
+        alike = sum(x.term.mechanism.id == lead.term.mechanism.id for x in out)
+        if alike < 3 and not any(x is lead for x in out):
+            out.append(lead)
     return out

@@ -19,7 +19,9 @@ class Limits:
     best of another name or place. `further`: gain of a second or third mechanism, and `share` the least part of the
     total gain that it must make. `parameter`: price of one more parameter. `behind`: how far a named term may stay
     behind the general local law, as a share of the total gain. `misfit`: objective per value above which nothing is
-    called explained. `improve`: part of the base's held-out error that the extended model must fall below.
+    called explained. `improve`: part of the base's held-out error that the extended model must fall below for a name;
+    `improve_further`: the same for each further mechanism after the one before; `doubt`: for "unexplained".
+    `remains`: part of the base's objective that is no misfit, however far it stands above the noise.
     """
 
     alarm: float = 40.0
@@ -27,9 +29,12 @@ class Limits:
     further: float = 40.0
     share: float = 0.02
     parameter: float = 4.0
-    behind: float = 0.01
-    misfit: float = 3.0
+    behind: float = 0.05
+    misfit: float = 1.5
     improve: float = 0.6
+    improve_further: float = 0.9
+    doubt: float = 0.75
+    remains: float = 0.002
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,9 @@ from labnnum.mechanisms.geometry import dof_rows
 from labnnum.mechanisms.laws import Release, Spring
 from labnnum.parameters import Parameter
 
+GROSS = np.array([0.01, 0.05, 0.2, 1.0, 4.0, 15.0])
+"""Sizes of a search for two compliances at once; clamps of beams may give far more than first order tells."""
+
 
 @final
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class SupportCompliance(Mechanism):
         for i in moving:
             for j in moving:
                 if held.axes[i] in TRANSLATIONS and held.axes[j] in ROTATIONS and _tied(held, i, j):
-                    sizes = np.array([[a, b] for a in SIZES[1:] for b in SIZES[1:]])
+                    sizes = np.array([[a, b] for a in GROSS for b in GROSS])
                     yield _term(self, place, held, (i, j), scales, sizes)
 
 
