@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from sessions.prove.referee import misfit
 from sessions.prove.run import TOOL, load
 from sessions.prove.truth.dissertation import EFFECTS, Effect
 from sessions.prove.truth.session import draw_plan, record
-from sessions.prove.visible import TWINS
+from sessions.prove.visible import TWINS, null_median
 
 SNR, BITS = 60.0, 16
 
@@ -42,8 +42,14 @@ def _units(effect: Effect) -> tuple[str, ...]:
 
 
 def visibility(case: Case) -> float:
-    """The referee's chi2 of the case over the median of sound twins."""
-    return misfit(case) / float(np.median([misfit(sound_twin(case, i)) for i in range(TWINS)]))
+    """The referee's chi2 of the case over that of sound twins, or of its kind where that is more."""
+    sound = float(np.median([misfit(sound_twin(case, i)) for i in range(TWINS)]))
+    return misfit(case) / max(sound, _of_kind(case.state.bench.kind))
+
+
+@cache
+def _of_kind(kind: str) -> float:
+    return null_median(kind)
 
 
 def answer(effect: Effect, out: Path, tool: str = TOOL) -> dict[str, Any]:

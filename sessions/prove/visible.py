@@ -63,13 +63,16 @@ def ground_of(ticket: Ticket) -> str:
     return f"{ticket.kind}, marched" if ticket.lawful else ticket.kind
 
 
+def null_median(kind: str, marched: bool = False, jobs: int = 1) -> float:
+    """Median chi2 that the referee leaves on sound structures of a kind, development seeds."""
+    sound = [Ticket("null", NULL_SEED + i, "null", kind, (), (), "multisine") for i in range(NULLS)]
+    return float(np.median([chi2["whole"] for _, chi2 in each(partial(misfits, marched=marched), sound, jobs)]))
+
+
 def _medians(tickets: Sequence[Ticket], known: dict[str, Any], path: Path, jobs: int) -> None:
     medians = known.setdefault("null median", {})
     for name in sorted({ground_of(t) for t in tickets} - set(medians)):
-        kind, marched = name.split(",")[0], "," in name
-        sound = [Ticket("null", NULL_SEED + i, "null", kind, (), (), "multisine") for i in range(NULLS)]
-        found = each(partial(misfits, marched=marched), sound, jobs)
-        medians[name] = float(np.median([chi2["whole"] for _, chi2 in found]))
+        medians[name] = null_median(name.split(",")[0], "," in name, jobs)
         _save(path, known)
 
 

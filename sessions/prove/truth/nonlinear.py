@@ -201,7 +201,7 @@ def _stop(kind: int, rng: Generator, severity: float, sizes: Sizes) -> Choice:
 def _coulomb(rng: Generator, severity: float, sizes: Sizes) -> Choice:
     """Dry friction."""
     z, _, k, _ = sizes
-    share = scale(0.003, 0.4, severity)
+    share = scale(0.0006, 0.4, severity)
     limit = share * k * z
     return march.COULOMB, (limit,), share, "friction over the elastic force", {"F": quantity(limit, "N")}, ""
 
