@@ -11,15 +11,24 @@ from labnnum.mechanisms.channel_delay import ChannelDelay
 from labnnum.mechanisms.channel_gain import ChannelGain
 from labnnum.mechanisms.channel_highpass import ChannelHighpass
 from labnnum.mechanisms.channel_swap import ChannelSwap
+from labnnum.mechanisms.clearance import Clearance
+from labnnum.mechanisms.coulomb_friction import CoulombFriction
+from labnnum.mechanisms.cubic_stiffness import CubicStiffness
 from labnnum.mechanisms.drift import Drift
 from labnnum.mechanisms.exciter_coupling import ExciterCoupling
 from labnnum.mechanisms.extended import ExtendedStructure, extend
 from labnnum.mechanisms.ground_stiffness import GroundStiffness
+from labnnum.mechanisms.hysteresis import Hysteresis
 from labnnum.mechanisms.hysteretic_damping import HystereticDamping
 from labnnum.mechanisms.joint_stiffness import JointStiffness
 from labnnum.mechanisms.local_dashpot import LocalDashpot
+from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+from labnnum.mechanisms.one_sided_gap import OneSidedGap
 from labnnum.mechanisms.out_of_plane_mode import OutOfPlaneMode
+from labnnum.mechanisms.quadratic_damping import QuadraticDamping
+from labnnum.mechanisms.quadratic_stiffness import QuadraticStiffness
 from labnnum.mechanisms.shear_rotary import ShearRotary
+from labnnum.mechanisms.stick_slip import StickSlip
 from labnnum.mechanisms.support_compliance import SupportCompliance
 from labnnum.mechanisms.viscoelastic import Viscoelastic
 
@@ -36,6 +45,14 @@ CATALOGUE: tuple[Mechanism, ...] = (
     ShearRotary(),
     AxialPreload(),
     ExciterCoupling(),
+    CubicStiffness(),
+    QuadraticStiffness(),
+    OneSidedGap(),
+    Clearance(),
+    CoulombFriction(),
+    QuadraticDamping(),
+    StickSlip(),
+    Hysteresis(),
     ChannelGain(),
     ChannelDelay(),
     ChannelHighpass(),
@@ -51,6 +68,7 @@ __all__ = [
     "ExtendedStructure",
     "Group",
     "Mechanism",
+    "NonlinearMechanism",
     "Place",
     "Site",
     "Term",

@@ -117,7 +117,7 @@ class Structure(ABC):
     def participation_derivatives(self, dof: str, theta: NDArray) -> NDArray[np.float64]:
         """Exact derivatives of `participation`, shape (n_parameters, n)."""
         rows = [np.imag(self.participation(dof, _stepped(theta, j))) / STEP for j in range(len(self.parameters))]
-        return np.array(rows).reshape(len(rows), -1)
+        return np.array(rows).reshape(len(rows), np.size(self.participation(dof, theta)))
 
     def rigid_derivatives(self, theta: NDArray) -> NDArray[np.float64]:
         """Exact derivatives of `rigid`, shape (n_parameters, n)."""

@@ -1,4 +1,4 @@
-"""What a nonlinear law looks like to the diagnosis: its parameters, their bounds, and where a search over them starts."""
+"""What a nonlinear law looks like to the diagnosis: its parameters and where a search over them starts."""
 
 from __future__ import annotations
 

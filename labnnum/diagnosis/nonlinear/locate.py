@@ -15,6 +15,7 @@ from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.mechanisms.base import Place
 
 FINE = 2
@@ -70,21 +71,23 @@ class Lead:
 class Background:
     """The base model at `x` with what it and its ordinary errors may still explain of the residual."""
 
-    def __init__(self, joint: Joint, x: NDArray) -> None:
-        none = [None] * len(joint.runs)
+    def __init__(self, joint: Joint, x: NDArray, orbits: Sequence[Orbit | None] | None = None) -> None:
+        given = orbits or [None] * len(joint.runs)
         self.joint, self.x = joint, x
-        jac, _ = joint.slopes(x, none)
-        r, b = joint.parts(x, none)
+        jac, given = joint.slopes(x, given)
+        r, b = joint.parts(x, given)
         self.n_out, self.n = r.shape
         self.r = r
         self.b = b
-        std = joint.std[: joint.n_base]
-        self.j = jac * std[None, :, None]
-        self.pull = (joint.mean[: joint.n_base] - x[: joint.n_base]) / std
+        std = np.where(np.isfinite(joint.std), joint.std, 1.0)
+        loose = np.isinf(joint.std)
+        wide = np.where(loose, 1e3 * np.abs(x) + 1e-300, std) / joint.scale
+        self.j = jac * wide[None, :, None]
+        self.pull = np.where(loose, 0.0, (joint.mean - x) / std)
         nb, nn = self.j.shape[1], b.shape[1]
         size = nb + self.n_out * nn
         gram = np.eye(size)
-        gram[:nb, :nb] += np.einsum("oif,ojf->ij", self.j, self.j, optimize=True)
+        gram[:nb, :nb] += np.matmul(self.j, self.j.transpose(0, 2, 1)).sum(axis=0)
         for o in range(self.n_out):
             at = slice(nb + o * nn, nb + (o + 1) * nn)
             gram[at, at] += b[o] @ b[o].T
@@ -98,18 +101,15 @@ class Background:
         self.objective = float(np.sum(r * r) + self.pull @ self.pull - self.right @ self.solved)
 
     def _inner(self, c: NDArray) -> NDArray:
-        own = np.einsum("onf,of->on", self.b, c)
-        return np.concatenate([np.einsum("onf,of->n", self.j, c), own.reshape(-1)])
+        own = np.matmul(self.b, c[..., None])[..., 0]
+        return np.concatenate([np.matmul(self.j, c[..., None]).sum(axis=0)[:, 0], own.reshape(-1)])
 
-    def gain(self, columns: NDArray) -> tuple[NDArray, NDArray]:
-        """Best amplitudes of whitened columns (n_c, n_out, N) together, and what they remove of the objective."""
+    def moments(self, columns: NDArray) -> tuple[NDArray, NDArray]:
+        """Products of whitened columns (n_c, n_out, N) among each other and with the residual, errors projected out."""
         inner = np.array([self._inner(c) for c in columns])
         flat = columns.reshape(columns.shape[0], -1)
         gram = flat @ flat.T - inner @ self.inverse @ inner.T
-        along = flat @ self.r.reshape(-1) - inner @ self.solved
-        d = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        size = np.linalg.pinv(gram / np.outer(d, d), rcond=1e-10) @ (along / d) / d
-        return size, float(size @ along)
+        return gram, flat @ self.r.reshape(-1) - inner @ self.solved
 
     def beside(self, held: NDArray) -> Beside:
         """Scores of single columns beside `held` (n_held, n_out, N), which may have any size."""
@@ -120,7 +120,7 @@ class Beside:
     """Scores of single columns beside held ones: what each removes of the objective that those leave."""
 
     def __init__(self, background: Background, held: NDArray) -> None:
-        self.g = background
+        self.g, self.held = background, held
         self.inner = np.array([background._inner(c) for c in held])
         self.flat = held.reshape(held.shape[0], -1)
         gram = self.flat @ self.flat.T - self.inner @ background.inverse @ self.inner.T
@@ -142,30 +142,41 @@ class Beside:
         return along / size, self.gain + along**2 / size
 
 
-def recover(joint: Joint, x: NDArray, point: Point, spot: Spot) -> Recovered:
+def recover(
+    joint: Joint, x: NDArray, point: Point, spot: Spot, orbits: Sequence[Orbit | None] | None = None
+) -> Recovered:
     r"""Force at `spot` that best explains what the base model at `x` leaves of each run.
 
     .. math:: \hat F = \frac{h^H \Sigma^{-1} r}{h^H \Sigma^{-1} h + 1/S}, \quad z = z_0 U + G \hat F
 
-    with S the force's own power around the line.
+    with S the force's own power around the line. Forces of laws that the joint holds (`orbits`) are known.
     """
     engine = joint.engine
     made: dict[tuple[int, float], Receptance] = {}
     for key in joint.bases:
         omega = 2 * np.pi * np.arange(key[0] // 2 + 1) * key[1] / key[0]
-        base = Base(engine, point, spot.column[:, None], omega)
+        columns = np.array([spot.column, *(t.column for t in joint.terms)]).T
+        base = Base(engine, point, columns, omega)
+        m = engine.band_modes.size
+        own = joint.n_base - joint.k * m
         full = base.start()
-        full[: joint.n_base] = x[: joint.n_base]
+        full[:own] = x[:own]
+        full[own + m :] = x[own : joint.n_base]
         made[key] = base.at(full)
     forces, zs, vs, fs = [], [], [], []
     explained = total = 0.0
-    for run in joint.runs:
+    for i, run in enumerate(joint.runs):
         r = made[(run.period, run.rate)]
-        force, share = _one(run, r)
+        drive = r.gain * run.u
+        known, moved = r.plain * drive, r.z[0] * drive
+        orbit = orbits[i] if orbits is not None else None
+        if orbit is not None:
+            known = known + (r.h[:, 1:] * orbit.force).sum(axis=1)
+            moved = moved + (r.g[0, 1:] * orbit.force).sum(axis=0)
+        force, share = _one(run, r, run.y - r.lift * known)
         explained += share[0]
         total += share[1]
-        drive = r.gain * run.u
-        z = np.where(run.inside, r.z[0] * drive + r.g[0, 0] * force, 0.0)
+        z = np.where(run.inside, moved + r.g[0, 0] * force, 0.0)
         full = np.zeros((3, run.period * FINE // 2 + 1), complex)
         full[:, : z.size] = z, r.s * z, force
         time = np.fft.irfft(full * (run.period * FINE / 2), axis=1)
@@ -178,9 +189,8 @@ def recover(joint: Joint, x: NDArray, point: Point, spot: Spot) -> Recovered:
     )
 
 
-def _one(run: Run, r: Receptance) -> tuple[NDArray[np.complex128], tuple[float, float]]:
+def _one(run: Run, r: Receptance, left: NDArray) -> tuple[NDArray[np.complex128], tuple[float, float]]:
     inside, quiet = run.inside, run.quiet
-    left = run.y - r.lift * r.plain * (r.gain * run.u)
     h = r.lift * r.h[:, 0]
     size = np.abs(run.y)
     noise = run.noise
@@ -226,26 +236,54 @@ def _through(joint: Joint, found: Recovered, spectra: Sequence[NDArray]) -> NDAr
     return np.concatenate(out, axis=-1)
 
 
+MOST_GENERAL = 3
+"""Terms of the general law that are kept."""
+
+
 def general_lead(background: Background, found: Recovered) -> Lead:
-    """The general law along the recovered motion, all its coefficients together."""
+    """The general law along the recovered motion: its terms one by one while each removes a tenth of what is left."""
     z_top, v_top = found.top, float(max(np.max(np.abs(v)) for v in found.v))
-    scale = np.abs(general_basis(np.array([z_top]), np.array([v_top])))[:, 0]
+    scale = np.maximum(np.abs(general_basis(np.array([z_top]), np.array([v_top])))[:, 0], 1e-300)
+    bases = [general_basis(z, v) / scale[:, None] for z, v in zip(found.z, found.v, strict=True)]
     columns = []
     for i in range(N_P):
-        spectra = []
-        for z, v in zip(found.z, found.v, strict=True):
-            spectra.append(np.fft.rfft(general_basis(z, v)[i] / scale[i]) * (2 / z.size))
+        spectra = [np.fft.rfft(g[i]) * (2 / g.shape[1]) for g in bases]
         columns.append(_through(background.joint, found, spectra))
-    size, gain = background.gain(np.array(columns))
-    return Lead(found.spot, "general", size / scale, gain)
+    columns = [*companion_columns(background, found), *columns]
+    gram, along = background.moments(np.array(columns))
+
+    def scored(used: list[int]) -> tuple[NDArray, float]:
+        at = np.ix_(used, used)
+        d = np.sqrt(np.maximum(np.diag(gram)[used], 1e-300))
+        size = np.linalg.pinv(gram[at] / np.outer(d, d), rcond=1e-10) @ (along[used] / d) / d
+        return size, float(size @ along[used])
+
+    chosen: list[int] = []
+    size, gain = np.zeros(0), scored([0, 1])[1]
+    while len(chosen) < MOST_GENERAL:
+        trials = [i for i in range(N_P) if i not in chosen]
+        each = [scored([0, 1, *(j + 2 for j in [*chosen, i])]) for i in trials]
+        best = int(np.argmax([g for _, g in each]))
+        if each[best][1] - gain < max(0.1 * (background.objective - gain), 20.0):
+            break
+        chosen.append(trials[best])
+        size, gain = each[best]
+        size = size[2:]
+    p = np.zeros(N_P)
+    p[chosen] = size / scale[chosen]
+    return Lead(found.spot, "general", p, gain if chosen else 0.0)
+
+
+def companion_columns(background: Background, found: Recovered) -> list[NDArray[np.float64]]:
+    """Spring and dashpot at the spot, which the base model may have wrong."""
+    return [
+        _through(background.joint, found, [np.fft.rfft(x) * (2 / x.size) for x in rows]) for rows in (found.z, found.v)
+    ]
 
 
 def companions(background: Background, found: Recovered) -> Beside:
-    """Spring and dashpot at the spot, which the base model may have wrong."""
-    columns = [
-        _through(background.joint, found, [np.fft.rfft(x) * (2 / x.size) for x in rows]) for rows in (found.z, found.v)
-    ]
-    return background.beside(np.array(columns))
+    """Scores beside a spring and a dashpot at the spot."""
+    return background.beside(np.array(companion_columns(background, found)))
 
 
 def law_leads(background: Background, found: Recovered, mechanisms: Sequence[str]) -> list[Lead]:

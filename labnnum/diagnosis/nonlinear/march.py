@@ -37,7 +37,7 @@ N_P = 10
 
 @njit(cache=True)
 def _hysteretic(z, p, memory, d):  # pragma: no cover - compiled
-    """h at z from (z0, h0) by the midpoint rule, and in d: dh/dz, dh/dh0, dh/dlimit, dh/dn, dh/dshare."""
+    """H at z from (z0, h0) by the midpoint rule, and in d: dh/dz, dh/dh0, dh/dlimit, dh/dn, dh/dshare."""
     z0, h0 = memory[0], memory[1]
     step = z - z0
     limit, n, share = p[1], p[2], p[3]
@@ -160,7 +160,20 @@ def solve_force(code, z, v, gz, gv, p, memory, guess, lp, d):  # pragma: no cove
     return f
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc"}, error_model="numpy")
+def _advance(X0, X1, push, z, v, t0, t1, t2, t3, c0, c1, w):  # pragma: no cover - compiled
+    """One mode's tangents one step on, and what they add to the motion of the one place."""
+    for t in range(X0.size):
+        a, b, p = X0[t], X1[t], push[t]
+        q = t0 * a + t1 * b + c0 * p
+        u = t2 * a + t3 * b + c1 * p
+        X0[t] = q
+        X1[t] = u
+        z[t] += w * q
+        v[t] += w * u
+
+
+@njit(cache=True, error_model="numpy")
 def march(
     T, W0, W1, w, gz, gv, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds, dforces
 ):  # pragma: no cover - compiled
@@ -184,6 +197,17 @@ def march(
     rhs = np.empty((k, nt))
     a = np.empty((k, k))
     bad = 0
+    # states are held without what the last force did within its step; that goes into the next one's weight
+    V0 = np.empty((2, m))
+    for r in range(m):
+        V0[0, r] = W0[0, r] + T[0, r] * W1[0, r] + T[1, r] * W1[1, r]
+        V0[1, r] = W0[1, r] + T[2, r] * W1[0, r] + T[3, r] * W1[1, r]
+        for e in range(k):
+            x[0, r] -= w[e, r] * W1[0, r] * f[e]
+            x[1, r] -= w[e, r] * W1[1, r] * f[e]
+            for t in range(nt):
+                X[0, r, t] -= w[e, r] * W1[0, r] * df[e, t]
+                X[1, r, t] -= w[e, r] * W1[1, r] * df[e, t]
     for step in range(n):
         for e in range(k):
             see[e, 0] = source[step, e, 0]
@@ -192,8 +216,8 @@ def march(
             push = 0.0
             for e in range(k):
                 push += w[e, r] * f[e]
-            q = T[0, r] * x[0, r] + T[1, r] * x[1, r] + W0[0, r] * push
-            u = T[2, r] * x[0, r] + T[3, r] * x[1, r] + W0[1, r] * push
+            q = T[0, r] * x[0, r] + T[1, r] * x[1, r] + V0[0, r] * push
+            u = T[2, r] * x[0, r] + T[3, r] * x[1, r] + V0[1, r] * push
             x[0, r] = q
             x[1, r] = u
             for e in range(k):
@@ -227,12 +251,6 @@ def march(
             motion[step, e, 0] = z
             motion[step, e, 1] = v
             forces[step, e] = new[e]
-        for r in range(m):
-            push = 0.0
-            for e in range(k):
-                push += w[e, r] * new[e]
-            x[0, r] += W1[0, r] * push
-            x[1, r] += W1[1, r] * push
         if nt > 0:
             for e in range(k):
                 for c in range(2):
@@ -242,19 +260,24 @@ def march(
                         dsee[e, c, t] = 0.0
             for r in range(m):
                 t0, t1, t2, t3 = T[0, r], T[1, r], T[2, r], T[3, r]
+                X0, X1 = X[0, r], X[1, r]
+                if k == 1:
+                    w0 = w[0, r]
+                    _advance(X0, X1, df[0], dsee[0, 0], dsee[0, 1], t0, t1, t2, t3, V0[0, r] * w0, V0[1, r] * w0, w0)
+                    continue
                 for t in range(nt):
                     push = 0.0
                     for e in range(k):
                         push += w[e, r] * df[e, t]
-                    q = t0 * X[0, r, t] + t1 * X[1, r, t] + W0[0, r] * push
-                    u = t2 * X[0, r, t] + t3 * X[1, r, t] + W0[1, r] * push
-                    X[0, r, t] = q
-                    X[1, r, t] = u
+                    q = t0 * X0[t] + t1 * X1[t] + V0[0, r] * push
+                    u = t2 * X0[t] + t3 * X1[t] + V0[1, r] * push
+                    X0[t] = q
+                    X1[t] = u
                 for e in range(k):
                     we = w[e, r]
                     for t in range(nt):
-                        dsee[e, 0, t] += we * X[0, r, t]
-                        dsee[e, 1, t] += we * X[1, r, t]
+                        dsee[e, 0, t] += we * X0[t]
+                        dsee[e, 1, t] += we * X1[t]
             for e in range(k):
                 code = codes[e]
                 if code == 4:
@@ -300,12 +323,6 @@ def march(
             for e in range(k):
                 for t in range(nt):
                     dforces[step, e, t] = df[e, t]
-            for r in range(m):
-                for e in range(k):
-                    we0, we1 = w[e, r] * W1[0, r], w[e, r] * W1[1, r]
-                    for t in range(nt):
-                        X[0, r, t] += we0 * df[e, t]
-                        X[1, r, t] += we1 * df[e, t]
             for e in range(k):
                 code = codes[e]
                 if code == 6 and fz[e] == 0.0 and p[e, 0] > 0.0:
@@ -338,6 +355,13 @@ def march(
                 memory[e, 0] = z
                 memory[e, 1] = h
             f[e] = new[e]
+    for r in range(m):
+        for e in range(k):
+            x[0, r] += w[e, r] * W1[0, r] * f[e]
+            x[1, r] += w[e, r] * W1[1, r] * f[e]
+            for t in range(nt):
+                X[0, r, t] += w[e, r] * W1[0, r] * df[e, t]
+                X[1, r, t] += w[e, r] * W1[1, r] * df[e, t]
     return bad
 
 

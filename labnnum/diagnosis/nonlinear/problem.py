@@ -16,9 +16,10 @@ from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Orbit, Steady
+from labnnum.errors import EstimationError
 
-FINE_STEPS = 8.0
-"""Steps of the march to a period of the highest excited line, at least."""
+FINE_STEPS = 3.3
+"""Steps of the march to a period of the highest excited line, at least: harmonics up to the fifth do not fold back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,9 @@ class Lines:
     at: NDArray[np.int64]
     sigma: NDArray[np.float64]
 
+
+EXACT = 30
+"""Entries of the base model's vector up to which their tangents are marched."""
 
 FLOOR, FLOOR_DISTORTION = 0.004, 0.02
 """Relative errors that nothing explains: of a response, and of the distortion around a line."""
@@ -121,6 +125,8 @@ class Joint:
         first = next(iter(self.bases.values()))
         self.x0 = first.start()
         self.n_base = self.x0.size
+        self.exact = True
+        self._last: tuple[bytes, dict[Any, Receptance]] | None = None
         self.codes = np.array([t.shape.code for t in terms], np.int64)
         self.steady = [Steady(r, self.codes, _fine(r)) for r in runs]
         self._priors(point)
@@ -168,6 +174,9 @@ class Joint:
                 one_low[:2] = 1e-6 * s[:2]
             if t.shape.law == "hysteresis":
                 one_low[2:4], one_high[2:4] = (0.6, 0.02), (6.0, 1.0)
+            if t.shape.law == "general":
+                unused = size == 0
+                one_low[unused], one_high[unused] = 0.0, 0.0
             low.append(one_low)
             high.append(one_high)
             scale.append(s)
@@ -194,7 +203,10 @@ class Joint:
 
     def receptances(self, x: NDArray) -> dict[Any, Receptance]:
         """One for each period length."""
-        return {key: b.at(x[: self.n_base]) for key, b in self.bases.items()}
+        key = x[: self.n_base].tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, {k: b.at(x[: self.n_base]) for k, b in self.bases.items()})
+        return self._last[1]
 
     def settle(self, x: NDArray, orbits: Sequence[Orbit | None], steps: int) -> list[Orbit | None]:
         """Steady states at `x` from those given."""
@@ -219,7 +231,7 @@ class Joint:
     def _response(r: Receptance, run: Run, orbit: Orbit | None) -> NDArray[np.complex128]:
         y = r.plain * (r.gain * run.u)
         if orbit is not None:
-            y = y + np.einsum("okf,kf->of", r.h, orbit.force)
+            y = y + (r.h * orbit.force).sum(axis=1)
         return r.lift * y
 
     def _nuisance(self, r: Receptance, run: Run, orbit: Orbit | None, lines: Lines, y: NDArray) -> NDArray:
@@ -287,10 +299,11 @@ class Joint:
             drive = (r.gain * run.u)[here]
             change = dp[:, :, here] * drive
             if orbit is not None:
-                orbit, slope = steady.slopes(r, p, orbit, (dz, dg), vary)
-                change = change + np.einsum("nokf,kf->nof", dh[..., here], orbit.force[:, here])
-                moved = slope.force[:, here]  # (k, f, n)
-                through = np.einsum("okf,kfn->nof", r.h[..., here], moved)
+                orbit, slope = steady.slopes(r, p, orbit, (dz, dg), vary, exact=self.exact)
+                through = np.zeros((slope.force.shape[0], *change.shape[1:]), complex)
+                for c in range(self.k):
+                    change = change + dh[:, :, c][..., here] * orbit.force[c, here]
+                    through += r.h[:, c, here] * slope.force[:, c, None][..., here]
                 change = np.concatenate([change + through[: self.n_base], through[self.n_base :]])
             change = change * (r.lift[:, here] / lines.sigma)
             out.append(self._real(np.moveaxis(change, 0, 1)))
@@ -308,33 +321,38 @@ def _fine(run: Run) -> int:
 
 def _reduced(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:
     gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1])
-    br = np.einsum("onf,of->on", b, r)
+    br = np.matmul(b, r[..., None])[..., 0]
     inner = np.linalg.solve(gram, br[..., None])[..., 0]
     return float(np.sum(r * r) - np.sum(br * inner)), gram, inner
 
 
 def fit(
     joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], *, steps: int = 10, tolerance: float = 1e-3,
-    floor: float = 1.0,
+    floor: float = 1.0, exact: bool = True,
 ) -> Made:  # fmt: skip
     """Levenberg-Marquardt from `x`; ends when a step gains less than `tolerance` of the objective and `floor`."""
+    joint.exact = exact and joint.n_base <= EXACT
     scale, low, high = joint.scale, joint.low, joint.high
     x = np.clip(x, low, high)
-    orbits = joint.settle(x, orbits, 8)
+    orbits = joint.settle(x, orbits, 6)
     damping, converged = 1e-3, False
     prior = (scale / joint.std) ** 2
     best: tuple[float, NDArray, Any, NDArray] | None = None
     reach = np.concatenate([_reach(joint), np.full(x.size - joint.n_base, 0.7)])
     small = 0
     for _ in range(steps):
-        jac, orbits = joint.slopes(x, orbits)
+        try:
+            jac, orbits = joint.slopes(x, orbits)
+        except EstimationError:
+            break
         r, b = joint.parts(x, orbits)
         part, gram, inner = _reduced(r, b)
         value = part + joint.price(x)
         bj = np.matmul(b, jac.transpose(0, 2, 1))
-        hessian = np.einsum("oif,ojf->ij", jac, jac, optimize=True)
-        hessian -= np.einsum("obi,obj->ij", bj, np.linalg.solve(gram, bj), optimize=True)
-        gradient = np.einsum("onf,of->n", jac, r, optimize=True) - np.einsum("obn,ob->n", bj, inner)
+        hessian = np.matmul(jac, jac.transpose(0, 2, 1)).sum(axis=0)
+        hessian -= np.matmul(bj.transpose(0, 2, 1), np.linalg.solve(gram, bj)).sum(axis=0)
+        gradient = np.matmul(jac, r[..., None]).sum(axis=0)[:, 0]
+        gradient -= np.matmul(bj.transpose(0, 2, 1), inner[..., None]).sum(axis=0)[:, 0]
         gradient -= prior * (x - joint.mean) / scale * np.isfinite(joint.std)
         hessian += np.diag(prior)
         if best is None or value < best[0]:
@@ -342,8 +360,9 @@ def fit(
         moved = False
         for _ in range(5):
             trial = _step(joint, x, gradient, hessian, damping, reach)
-            found = joint.settle(trial, orbits, 4)
-            after = joint.value(trial, found, b)
+            found = joint.settle(trial, orbits, 3)
+            settled = all(o is None or np.isfinite(o.closing) for o in found)
+            after = joint.value(trial, found, b) if settled else np.inf
             if np.isfinite(after) and after < value:
                 moved = True
                 break
@@ -357,9 +376,10 @@ def fit(
         if small >= 1:
             converged = True
             break
+    if best is None:
+        raise EstimationError("the steady response does not settle at the start of the fit")
     r, b = joint.parts(x, orbits)
     value = _reduced(r, b)[0] + joint.price(x)
-    assert best is not None
     if best[0] < value:
         value, x, orbits = best[0], best[1], best[2]
     hessian = best[3]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,8 @@ class Receptance:
     d: NDArray
     out: NDArray
     load: NDArray
+    marches: dict[float, Any] = field(default_factory=dict)
+    """What was prepared to march it, by the length of the step."""
 
 
 class Base:
@@ -115,9 +118,9 @@ class Base:
         w[:, b] += motion.reshape(self.k, b.size) * self.w_typical
         out = st.out
         plain = (out.T * load) @ d
-        h = np.einsum("mo,km,mf->okf", out, w, d, optimize=True)
+        h = np.stack([(out.T * row) @ d for row in w], axis=1) if self.k else np.zeros((out.shape[1], 0, d.shape[1]))
         z = (w * load) @ d
-        g = np.einsum("km,lm,mf->klf", w, w, d, optimize=True)
+        g = ((w[:, None] * w[None]).reshape(-1, w.shape[1]) @ d).reshape(self.k, self.k, d.shape[1])
         if e.high.shape[1]:
             plain = plain + self._remainder(self.high_out, self.high_load)[:, 0]
             h = h + self._remainder(self.high_out, self.high_w)

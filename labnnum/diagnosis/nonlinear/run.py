@@ -84,8 +84,18 @@ def run_of(
         noise = np.mean(np.abs(error) ** 2, axis=0) / (n_periods - 1)
         noise = uniform_filter1d(noise, min(25, max(noise.shape[1] // 8, 1)), axis=1, mode="nearest")
     else:
-        noise = np.full(y.shape, np.nan)
+        noise = _beyond(y, on)
     return Run(
         rate, period, u, y, noise, on, level, label, tuple(channels[i] for i in outputs), channels[inputs[0]],
         n_periods,
     )  # fmt: skip
+
+
+def _beyond(y: NDArray, on: NDArray) -> NDArray[np.float64]:
+    """Noise of a single period, taken as flat from the lines above the band; NaN where there are fewer than 20."""
+    top = int(1.08 * np.flatnonzero(on)[-1])
+    above = y[:, top : int(0.98 * y.shape[1])]
+    if above.shape[1] < 20:
+        return np.full(y.shape, np.nan)
+    level = np.median(np.abs(above) ** 2, axis=1) / np.log(2)
+    return np.repeat(level[:, None], y.shape[1], axis=1)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.march import N_P, march
 from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.simulation import hold_weights
+from labnnum.errors import EstimationError
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +40,12 @@ class Orbit:
     closing: float = np.inf
     bad: int = 0
     floquet: NDArray | None = None
+    inverse: NDArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Derivatives of the force spectrum, (k, n_lines, n): to the base model's vector, then to the laws' parameters."""
+    """Derivatives of the force spectrum, (n, k, n_lines): to the base model's vector, then to the laws' parameters."""
 
     force: NDArray
 
@@ -68,37 +69,42 @@ class Steady:
         self.n = run.period * fine
         self.step = 1.0 / (run.rate * fine)
         self.lines = run.u.size
+        self.top = int(np.flatnonzero(run.excited)[-1])
 
     # ---------------------------------------------------------------- the march of one receptance
 
     def prepare(self, r: Receptance) -> _Prepared:
-        """Transition, weights and discrete transfers of a receptance's modes."""
-        omega, zeta = r.omega.copy(), r.zeta.copy()
+        """Transition, weights and discrete transfers of a receptance's modes (remembered with it)."""
+        if self.step not in r.marches:
+            r.marches[self.step] = self._prepare(r)
+        return r.marches[self.step]
+
+    def _prepare(self, r: Receptance) -> _Prepared:
+        slow = np.flatnonzero(r.omega < 1.4 * np.abs(r.s[self.top]))  # faster ones follow at once, and exactly by lines
+        fast = np.setdiff1d(np.arange(r.omega.size), slow)
+        omega, zeta, w = r.omega[slow], r.zeta[slow], np.ascontiguousarray(r.w[:, slow])
+        rest = r.rest + (r.w[:, fast] / r.omega[fast] ** 2) @ r.w[:, fast].T
         low = np.abs(r.s[1])
         free = omega < 0.05 * low
         omega[free], zeta[free] = 0.3 * low, 0.3  # a rigid body is tied loosely; the source takes it back
         m = omega.size
-        A = np.zeros((m, 2, 2))
-        A[:, 0, 1] = 1.0
-        A[:, 1, 0], A[:, 1, 1] = -(omega**2), -2 * zeta * omega
-        B = np.zeros((m, 2, 1))
-        B[:, 1, 0] = 1.0
-        T, W = hold_weights(A, B, self.step, 2)
-        W0, W1 = W[:, :, 0, 0].T, W[:, :, 0, 1].T
+        T, W0, W1 = _held(omega, zeta, self.step)
         turn = np.exp(r.s * self.step)
-        a, b, c, d = (T.reshape(m, 4).T)[:, :, None]
+        a, b, c, d = T[:, :, None]
         det = (turn - a) * (turn - d) - b * c
         drive0 = W0[0][:, None] + turn * W1[0][:, None]
         drive1 = W0[1][:, None] + turn * W1[1][:, None]
         xq = ((turn - d) * drive0 + b * drive1) / det
         xv = (c * drive0 + (turn - a) * drive1) / det
-        gz = np.einsum("km,lm,mf->klf", r.w, r.w, xq, optimize=True) + r.rest[:, :, None]
-        gv = np.einsum("km,lm,mf->klf", r.w, r.w, xv, optimize=True)
-        inner = (r.w * W1[0]) @ r.w.T + r.rest
-        rate = (r.w * W1[1]) @ r.w.T
+        k = w.shape[0]
+        pairs = (w[:, None] * w[None]).reshape(k * k, m)
+        gz = (pairs @ xq).reshape(k, k, r.s.size) + rest[:, :, None]
+        gv = (pairs @ xv).reshape(k, k, r.s.size)
+        inner = (w * W1[0]) @ w.T + rest
+        rate = (w * W1[1]) @ w.T
         return _Prepared(
-            np.ascontiguousarray(T.reshape(m, 4).T), np.ascontiguousarray(W0), np.ascontiguousarray(W1),
-            np.ascontiguousarray(r.w), inner, rate, r.g - gz, r.s * r.g - gv, xq, xv,
+            T, W0, W1,
+            w, inner, rate, r.g - gz, r.s * r.g - gv, xq, xv,
         )  # fmt: skip
 
     def to_time(self, spectrum: NDArray) -> NDArray[np.float64]:
@@ -116,13 +122,13 @@ class Steady:
     def source(self, r: Receptance, made: _Prepared, force: NDArray) -> NDArray[np.float64]:
         """Motion (n, k, 2) at the places that the march does not produce itself."""
         drive = r.gain * self.run.u
-        z = r.z * drive + np.einsum("klf,lf->kf", made.miss_z, force)
-        v = r.s * r.z * drive + np.einsum("klf,lf->kf", made.miss_v, force)
+        z = r.z * drive + (made.miss_z * force).sum(axis=1)
+        v = r.s * r.z * drive + (made.miss_v * force).sum(axis=1)
         return np.ascontiguousarray(np.moveaxis(self.to_time(np.stack([z, v], axis=1)), -1, 0))
 
     def state_of(self, r: Receptance, made: _Prepared, force: NDArray) -> NDArray[np.float64]:
         """Modal state (2, m) just before time 0 of a force spectrum."""
-        push = r.w.T @ force * np.exp(-r.s * self.step)
+        push = made.w.T @ force * np.exp(-r.s * self.step)
         push[:, 0] *= 0.5
         return np.stack([np.real((made.xq * push).sum(axis=1)), np.real((made.xv * push).sum(axis=1))])
 
@@ -135,32 +141,50 @@ class Steady:
         memory = np.zeros((self.k, 2))
         return Orbit(x, time[-1].copy(), memory, force, time, motion)
 
-    def settle(self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = 1e-5) -> Orbit:
+    def settle(self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = 3e-4) -> Orbit:
         """Newton's method from `orbit` to the steady state with laws' parameters p (k, N_P)."""
         made = self.prepare(r)
-        m = r.omega.size
+        m = made.w.shape[1]
         for _ in range(steps):
-            before = orbit
-            memory = orbit.memory.copy()
+            chord = orbit.inverse is not None and orbit.inverse.shape[0] == 2 * m + 3 * self.k and orbit.closing < 0.02
             source = self.source(r, made, orbit.force)
-            one = self._march(r, made, source, p, orbit.x, orbit.f, memory, homogeneous=True)
-            phi = one.end
-            change = np.linalg.lstsq(np.eye(phi.shape[0]) - phi, one.state - _state(orbit), rcond=1e-12)[0]
-            start = _state(orbit) + change
-            time = one.time + one.slopes @ change
-            scale = np.linalg.norm(one.time) + 1e-300
-            if not np.isfinite(change).all() or np.linalg.norm(time - one.time) > 3 * scale:
-                start, time = one.state, one.time  # too far for Newton: march on
+            one = self._march(made, source, p, orbit, homogeneous=not chord)
+            if not np.isfinite(one.state).all():
+                return replace(orbit, closing=np.inf)
+            if chord:
+                inverse = orbit.inverse
+                assert inverse is not None
+                start = _state(orbit) + inverse @ (one.state - _state(orbit))
+                time = one.time
+            else:
+                inverse = _closing(one.end)
+                change = inverse @ (one.state - _state(orbit))
+                start = _state(orbit) + change
+                time = one.time + one.slopes @ change
+                scale = np.linalg.norm(one.time) + 1e-300
+                if not np.isfinite(change).all() or np.linalg.norm(time - one.time) > 3 * scale:
+                    start, time, inverse = one.state, one.time, None  # too far for Newton: march on
+            closing = float(np.linalg.norm(time - orbit.time) / (np.linalg.norm(time) + 1e-300))
+            if chord and closing > 0.3 * orbit.closing:
+                inverse = None  # the chord has worn out
             x, f, memory = _parts(start, m, self.k)
-            force = self.to_lines(time)
-            closing = float(np.linalg.norm(time - before.time) / scale)
-            orbit = Orbit(x, f, memory, force, time, one.motion, closing, one.bad, phi)
+            orbit = Orbit(
+                x, f, memory, self.to_lines(time), time, one.motion, closing, one.bad,
+                orbit.floquet if chord else one.end, inverse,
+            )  # fmt: skip
             if closing < tolerance:
                 break
         return orbit
 
     def slopes(
-        self, r: Receptance, p: NDArray, orbit: Orbit, base: tuple[NDArray, NDArray], vary: NDArray
+        self,
+        r: Receptance,
+        p: NDArray,
+        orbit: Orbit,
+        base: tuple[NDArray, NDArray],
+        vary: NDArray,
+        *,
+        exact: bool = True,
     ) -> tuple[Orbit, Slopes]:
         """The orbit marched once more, and the derivatives of its forces.
 
@@ -170,36 +194,67 @@ class Steady:
             Derivatives of `Receptance.z` and `.g` to the base model's vector, (n_b, k, f) and (n_b, k, k, f).
         vary : ndarray, shape (n_law, k, N_P)
             Directions of the laws' parameters.
+        exact : bool
+            Whether the tangents to the base model's vector are marched, or taken by describing functions.
         """
         made = self.prepare(r)
-        drive = r.gain * self.run.u
-        dz, dg = base
-        push = dz * drive + np.einsum("nklf,lf->nkf", dg, orbit.force)
-        ds = np.moveaxis(self.to_time(np.stack([push, r.s * push], axis=2)), (0, 3), (3, 0))
         source = self.source(r, made, orbit.force)
-        memory = orbit.memory.copy()
-        one = self._march(
-            r, made, source, p, orbit.x, orbit.f, memory, homogeneous=True, ds=np.ascontiguousarray(ds), vary=vary
-        )
-        n = dz.shape[0] + vary.shape[0]
+        ds = None
+        if exact:
+            dz, dg = base
+            push = dz * (r.gain * self.run.u)
+            for c in range(self.k):
+                push = push + dg[:, :, c] * orbit.force[c]
+            ds = np.moveaxis(self.to_time(np.stack([push, r.s * push], axis=2)), (0, 3), (3, 0))
+            ds = np.ascontiguousarray(ds)
+        one = self._march(made, source, p, orbit, homogeneous=True, vary=vary, ds=ds)
+        if not np.isfinite(one.end).all():
+            raise EstimationError("the steady response does not settle")
+        n = vary.shape[0] + (0 if ds is None else ds.shape[3])
         phi, part = one.end[:, n:], one.end[:, :n]
         gap = (one.state - _state(orbit))[:, None]
-        closing = np.linalg.lstsq(np.eye(phi.shape[0]) - phi, np.hstack([part, gap]), rcond=1e-12)[0]
+        inverse = _closing(phi)
+        closing = inverse @ np.hstack([part, gap])
         whole = one.slopes[:, :, :n] + one.slopes[:, :, n:] @ closing[:, :-1]
         time = one.time + one.slopes[:, :, n:] @ closing[:, -1]
-        x, f, memory = _parts(_state(orbit) + closing[:, -1], r.omega.size, self.k)
+        x, f, memory = _parts(_state(orbit) + closing[:, -1], made.w.shape[1], self.k)
         rel = float(np.linalg.norm(time - orbit.time) / (np.linalg.norm(time) + 1e-300))
         new = replace(
             orbit, force=self.to_lines(time), time=time, motion=one.motion, closing=rel, x=x, f=f, memory=memory,
-            floquet=phi,
+            floquet=phi, inverse=inverse,
         )  # fmt: skip
-        return new, Slopes(np.moveaxis(self.to_lines(whole), 1, 2))
+        moved = np.moveaxis(self.to_lines(whole), 1, 0)
+        if not exact:
+            moved = np.concatenate([self._base_slopes(r, orbit, base), moved])
+        return new, Slopes(moved)
+
+    def _base_slopes(self, r: Receptance, orbit: Orbit, base: tuple[NDArray, NDArray]) -> NDArray[np.complex128]:
+        """Derivatives of the forces (n_b, k, f) to the base model's vector, each law taken by its describing function.
+
+        The spring and dashpot that best stand for a force along its motion answer to a change of the model; what a
+        change at one line does to the others is left out.
+        """
+        drive = r.gain * self.run.u
+        dz, dg = base
+        push = dz * drive
+        for c in range(self.k):
+            push = push + dg[:, :, c] * orbit.force[c]
+        law = np.zeros((self.k, r.s.size), complex)
+        for e in range(self.k):
+            z, v, f = orbit.motion[:, e, 0], orbit.motion[:, e, 1], orbit.time[:, e]
+            z, v = z - z.mean(), v - v.mean()
+            law[e] = -(z @ f) / max(z @ z, 1e-300) - r.s * (v @ f) / max(v @ v, 1e-300)
+        if self.k == 1:
+            return -law * push / (1 + law * r.g[0])
+        loop = np.moveaxis(law[:, None] * r.g, 2, 0) + np.eye(self.k)
+        right = -np.moveaxis(law * push, (0, 1, 2), (2, 1, 0))
+        return np.moveaxis(np.linalg.solve(loop, right), (0, 1, 2), (2, 1, 0))
 
     def _march(
-        self, r: Receptance, made: _Prepared, source: NDArray, p: NDArray, x: NDArray, f: NDArray, memory: NDArray, *,
-        homogeneous: bool = False, ds: NDArray | None = None, vary: NDArray | None = None,
+        self, made: _Prepared, source: NDArray, p: NDArray, orbit: Orbit, *, homogeneous: bool = False,
+        ds: NDArray | None = None, vary: NDArray | None = None,
     ) -> _Marched:  # fmt: skip
-        m, k = r.omega.size, self.k
+        m, k = made.w.shape[1], self.k
         n_s = 0 if ds is None else ds.shape[3]
         n_v = 0 if vary is None else vary.shape[0]
         n_h = 2 * m + 3 * k if homogeneous else 0
@@ -218,13 +273,36 @@ class Steady:
             ds = np.zeros((self.n, k, 2, 0))
         forces, motion = np.empty((self.n, k)), np.empty((self.n, k, 2))
         slopes = np.empty((self.n, k, nt))
-        x, f = x.copy(), f.copy()
+        x, f, memory = orbit.x.copy(), orbit.f.copy(), orbit.memory.copy()
         bad = march(
             made.T, made.W0, made.W1, made.w, made.inner, made.rate, source, self.codes, np.ascontiguousarray(p), x, f,
             memory, forces, motion, X, df, dmem, dp, ds, slopes,
         )  # fmt: skip
         end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(2 * k, nt)])
         return _Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)
+
+
+def _held(omega: NDArray, zeta: NDArray, step: float) -> tuple[NDArray, NDArray, NDArray]:
+    """Transition (4, m) of each mode over a step, and weights (2, m) of a force straight between its ends."""
+    rate = zeta * omega
+    turn = omega * np.sqrt((1 - zeta**2).astype(complex))
+    decay = np.exp(-rate * step)
+    c = np.real(np.cos(turn * step))
+    s = np.real(np.sin(turn * step) / turn)
+    T = decay * np.array([c + rate * s, s, -(omega**2) * s, c - rate * s])
+    square = omega**2
+    whole = np.array([(1 - T[0]) / square, T[1]])  # A^-1 (T - I) B, with A^-1 = [[-2 rate, -1], [w^2, 0]] / w^2
+    slope0, slope1 = whole[0] / step, whole[1] / step - 1.0
+    W1 = np.array([(-2 * rate * slope0 - slope1) / square, slope0])
+    return T, whole - W1, W1
+
+
+def _closing(phi: NDArray) -> NDArray[np.float64]:
+    """(I - phi)^-1: from the gap at the end of the period to the change of its start."""
+    try:
+        return np.linalg.inv(np.eye(phi.shape[0]) - phi)
+    except np.linalg.LinAlgError:
+        return np.linalg.pinv(np.eye(phi.shape[0]) - phi)
 
 
 def _state(orbit: Orbit) -> NDArray[np.float64]:

@@ -1,0 +1,273 @@
+"""The answer to nonlinear signs: a law at a place or an abstention, errors before and after, and linearised data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.detect import signs
+from labnnum.diagnosis.nonlinear.locate import Spot, spots
+from labnnum.diagnosis.nonlinear.problem import Joint, Made, choose_lines
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.start import base_point, quietest
+from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, refined, search
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.places import Places
+from labnnum.diagnosis.verdict import Alternative, Limits, Named
+from labnnum.mechanisms import CATALOGUE
+from labnnum.mechanisms.base import Place, Term
+from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+
+MECHANISMS = {m.id: m for m in CATALOGUE if isinstance(m, NonlinearMechanism)}
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Recovered force against the motion, and the law along it, for one run."""
+
+    level: float
+    z: NDArray[np.float64]
+    v: NDArray[np.float64]
+    force: NDArray[np.float64]
+    law: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearAnswer:
+    """What the nonlinear signs mean.
+
+    `named` is empty where no law of the catalogue explains them; `place` is then where something acts. Errors are
+    relative RMS of the response spectra on all lines of the band, over (training, held-out) runs. `linearised` are
+    the observations with the law's share taken out of their FRFs.
+    """
+
+    named: tuple[Named, ...]
+    place: Place | None
+    alternatives: tuple[Alternative, ...]
+    located: tuple[tuple[Place, float], ...]
+    base_error: tuple[float, float]
+    extended_error: tuple[float, float]
+    reason: str
+    linearised: tuple[Observation, ...]
+    linearised_held_out: tuple[Observation, ...]
+    curves: tuple[Curve, ...]
+    study: Study
+    misfit: float
+
+
+def answer(
+    engine: Engine, train: Sequence[Observation], test: Sequence[Observation], places: Places, scatter: Scatter,
+    limits: Limits, span: tuple[float, float], progress: Callable[[str], None] = lambda text: None,
+) -> NonlinearAnswer | None:  # fmt: skip
+    """What nonlinear physics the observations show; None where they show none.
+
+    Parameters
+    ----------
+    train, test : sequence of Observation
+        Periodic runs with their spectra; others are passed over.
+    span : (low, high)
+        Band in Hz.
+    """
+    train = sorted((o for o in train if o.run is not None), key=lambda o: o.level)
+    test = sorted((o for o in test if o.run is not None), key=lambda o: o.level)
+    runs = [o.run for o in train if o.run is not None]
+    if not runs:
+        return None
+    shown = signs(runs)
+    if not shown.present:
+        return None
+    train, runs = _levels(train, runs)
+    i = quietest(runs)
+    point = base_point(engine, train[i], scatter, span)
+    site = engine.site(places.nodes, places.elements, places.supports)
+    every = spots(engine, site)
+    found = search(engine, point, runs, i, every, scatter, progress=progress)
+    if found is None:
+        return None
+    progress("comparing places and laws")
+    tried = refined(found, scatter, _rivals(found, every, scatter))
+    found = replace(found, tried=tuple(tried))
+    return _decide(found, train, test, scatter, limits)
+
+
+def _levels(train: Sequence[Observation], runs: list[Run], most: int = 4) -> tuple[list[Observation], list[Run]]:
+    """At most `most` runs, spread over the levels."""
+    if len(runs) <= most:
+        return list(train), runs
+    pick = np.unique(np.linspace(0, len(runs) - 1, most).round().astype(int))
+    return [train[i] for i in pick], [runs[i] for i in pick]
+
+
+def _rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
+    """The winning law at the spots that explain the distortion next best."""
+    best = found.best
+    have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
+    order = sorted(found.recovered, key=lambda q: -q.share)
+    own = next((q.share for q in order if q.spot.place == best.spot.place), order[0].share)
+    near = [q.spot for q in order if (q.spot.place, q.spot.axis) not in have and 1 - q.share < 1.5 * (1 - own)]
+    return at_places(found, best, near, scatter, most=2)
+
+
+def _decide(
+    found: Study, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter, limits: Limits
+) -> NonlinearAnswer:
+    best, base = found.best, found.base
+    excess = max(1.0, best.made.data_part / best.made.count)
+    rivals = [t for t in found.tried if not t.same(best)]
+    lead = (min(t.cost for t in rivals) - best.cost) / excess if rivals else np.inf
+    total = (base.objective - best.made.objective) / excess
+    misfit = best.made.data_part / best.made.count
+    behind = (best.cost - found.general.cost) / excess if found.general is not None else -np.inf
+    reason = ""
+    if total < limits.alarm:
+        reason = "no nonlinear law gains more than a sound structure's scatter"
+    elif misfit > MISFIT and misfit > 0.02 * base.objective / base.count:
+        reason = "what the best nonlinear law leaves is far more than noise"
+    elif behind > max(limits.alarm, limits.behind * total):
+        reason = "a general law of motion and speed explains far more than any named one"
+    elif lead < limits.name:
+        reason = "two nonlinear laws explain it equally well"
+    joint, made = _on(found, best, train, test, scatter)
+    x, orbits = made
+    base_error = _errors(found, train, test, None, scatter)
+    extended_error = _errors_of(joint, x, orbits, len(train))
+    if (
+        not reason
+        and extended_error[1] > limits.improve * base_error[1]
+        and extended_error[1] > 3 * _noise(test or train)
+    ):
+        reason = "the best nonlinear law does not improve the prediction of data held out"
+    named = () if reason else (_named(found, best, rivals),)
+    place = best.spot.place
+    if reason and found.general is not None and found.general.cost < best.cost:
+        place = found.general.spot.place
+    linear = _linearised(joint, x, orbits, (*train, *test))
+    alternatives = _alternatives(best, rivals, limits)
+    located = _located(found)
+    return NonlinearAnswer(
+        named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
+        tuple(linear[: len(train)]), tuple(linear[len(train) :]), _curves(found, best), found, misfit,
+    )  # fmt: skip
+
+
+MISFIT = 3.0
+"""Chi-square per value above which nothing is called explained."""
+
+
+def _named(found: Study, best: Tried, rivals: Sequence[Tried]) -> Named:
+    mechanism = MECHANISMS[best.mechanism]
+    term = mechanism.term(best.spot.place, best.spot.axis, best.spot.column)
+    value, std = best.made.law(0)
+    excess = max(1.0, best.made.data_part / best.made.count)
+    weights = np.exp(-np.clip([(t.cost - best.cost) / excess / 2 for t in rivals], 0, 700)) if rivals else np.zeros(0)
+    n = len(mechanism.names)
+    return Named(term, value[:n], std[:n] * np.sqrt(excess), float(1.0 / (1.0 + weights.sum())))
+
+
+def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple[Alternative, ...]:
+    out = []
+    for t in sorted(rivals, key=lambda t: t.cost)[:6]:
+        gap = t.cost - best.cost
+        name = f"{best.mechanism} at {best.spot.place}"
+        equal = gap < limits.name
+        why = f"explains as well as {name} (chi-square + {gap:.1f})" if equal else f"leaves {gap:.0f} more than {name}"
+        mechanism = MECHANISMS[t.mechanism]
+        term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
+        out.append(Alternative(term, float("nan"), t.cost, why))
+    return tuple(out)
+
+
+def _located(found: Study) -> tuple[tuple[Place, float], ...]:
+    """Places by the share of the distortion that a force there explains; a fitted law's place first."""
+    shares: dict[Place, float] = {}
+    for q in found.recovered:
+        shares[q.spot.place] = max(shares.get(q.spot.place, 0.0), q.share)
+    total = found.base.objective
+    for t in found.tried:
+        gain = max(total - t.made.objective, 0.0) / total
+        shares[t.spot.place] = max(shares.get(t.spot.place, 0.0), gain)
+    return tuple(sorted(shares.items(), key=lambda row: -row[1])[:10])
+
+
+def _noise(observations: Sequence[Observation]) -> float:
+    parts = []
+    for o in observations:
+        assert o.run is not None
+        at = o.run.inside
+        parts.append(np.sum(o.run.noise[:, at], axis=1) / np.sum(np.abs(o.run.y[:, at]) ** 2, axis=1))
+    return float(np.sqrt(np.mean(parts)))
+
+
+def _on(
+    found: Study, best: Tried, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter
+) -> tuple[Joint, tuple[NDArray, list[Any]]]:
+    """The best law's steady states on training and held-out runs."""
+    runs = [o.run for o in (*train, *test) if o.run is not None]
+    joint = Joint(found.engine, found.point, runs, best.made.terms, scatter, [choose_lines(r, 50) for r in runs])
+    start = [*best.made.orbits, *([None] * (len(runs) - len(best.made.orbits)))]
+    return joint, (best.made.x, joint.settle(best.made.x, start, 12))
+
+
+def _errors(
+    found: Study, train: Sequence[Observation], test: Sequence[Observation], tried: Made | None, scatter: Scatter
+) -> tuple[float, float]:
+    runs = [o.run for o in (*train, *test) if o.run is not None]
+    joint = Joint(found.engine, found.point, runs, (), scatter, [choose_lines(r, 50) for r in runs])
+    return _errors_of(joint, found.base.x, [None] * len(runs), len(train))
+
+
+def _errors_of(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) -> tuple[float, float]:
+    each = []
+    for run, y in zip(joint.runs, joint.predict(x, orbits), strict=True):
+        at = run.inside
+        each.append(np.mean(np.sum(np.abs(run.y - y)[:, at] ** 2, axis=1) / np.sum(np.abs(run.y[:, at]) ** 2, axis=1)))
+    train, test = each[:n_train], each[n_train:] or each[:n_train]
+    return float(np.sqrt(np.mean(train))), float(np.sqrt(np.mean(test)))
+
+
+def _linearised(
+    joint: Joint, x: NDArray, orbits: Sequence[Any], observations: Sequence[Observation]
+) -> list[Observation]:
+    """Observations whose FRFs lack what the nonlinear force adds, with what its model may have wrong as variance."""
+    made = joint.receptances(x)
+    out = []
+    for o, run, orbit in zip(observations, joint.runs, orbits, strict=True):
+        r = made[(run.period, run.rate)]
+        share = r.lift * (r.h * orbit.force).sum(axis=1)
+        at = np.searchsorted(run.frequency, o.frf.frequency - 1e-9)
+        change = share[:, at] / run.u[at]
+        assert o.frf.variance is not None
+        variance = o.frf.variance + (0.02 * np.abs(change))[:, None] ** 2
+        frf = replace(o.frf, value=o.frf.value - change[:, None], variance=variance)
+        out.append(replace(o, frf=frf, distortion={}, run=None, drift=0.0, drift_slope=None))
+    return out
+
+
+def _curves(found: Study, best: Tried) -> tuple[Curve, ...]:
+    """Force recovered from the measurement and the law along the motion, at the best place, thinned for drawing."""
+    from labnnum.diagnosis.nonlinear.laws import force_along
+
+    mine = next((q for q in found.recovered if q.spot.place == best.spot.place), None)
+    if mine is None:
+        return ()
+    sign = -1.0 if best.spot.axis.startswith("-") else 1.0
+    p, _ = best.made.law(0)
+    full = np.zeros(10)
+    full[: p.size] = p
+    out = []
+    for run, z, v, f in zip(found.runs, mine.z, mine.v, mine.f, strict=True):
+        law = force_along(best.made.terms[0].shape, sign * z, sign * v, full) * sign
+        pick = slice(0, None, max(z.size // 3000, 1))
+        out.append(Curve(run.level, z[pick], v[pick], -f[pick], law[pick]))
+    return tuple(out)
+
+
+def term_of(tried: Tried) -> Term:
+    """The law of a candidate as a term."""
+    return MECHANISMS[tried.mechanism].term(tried.spot.place, tried.spot.axis, tried.spot.column)

@@ -1,0 +1,58 @@
+"""Whether the structure is nonlinear: distortion on detection lines beyond noise, and FRFs that change with level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.nonlinear.run import Run
+
+SIGMAS = 6.0
+"""How far, in standard deviations, the power on detection lines must stand above the noise."""
+EXCESS = 1.6
+"""And by what factor at least: shakers distort a little, and periods drift."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signs:
+    """Power over noise on odd and even detection lines (n_runs, n_out), and where that is beyond chance."""
+
+    odd: NDArray[np.float64]
+    even: NDArray[np.float64]
+    odd_sure: NDArray[np.bool_]
+    even_sure: NDArray[np.bool_]
+
+    @property
+    def present(self) -> bool:
+        """Distortion in at least one run, in more channels than one where there are several."""
+        sure = self.odd_sure | self.even_sure
+        need = min(2, sure.shape[1])
+        return bool((sure.sum(axis=1) >= need).any())
+
+
+def signs(runs: Sequence[Run]) -> Signs:
+    """Distortion of each run and channel against the noise that its periods show."""
+    shape = (len(runs), runs[0].y.shape[0])
+    out = {name: np.full(shape, np.nan) for name in ("odd", "even")}
+    sure = {name: np.zeros(shape, bool) for name in ("odd", "even")}
+    for i, run in enumerate(runs):
+        if not np.isfinite(run.noise).all():
+            continue
+        lines = np.flatnonzero(run.excited)
+        grid = np.arange(run.u.size)
+        h = run.y[:, lines] / run.u[lines]
+        through = np.array([np.interp(grid, lines, r.real) + 1j * np.interp(grid, lines, r.imag) for r in h])
+        left = np.abs(run.y - through * run.u) ** 2
+        for name, parity in (("odd", 1), ("even", 0)):
+            at = run.quiet & (grid % 2 == parity)
+            n = np.count_nonzero(at)
+            if n < 4:
+                continue
+            ratio = left[:, at].mean(axis=1) / np.maximum(run.noise[:, at].mean(axis=1), 1e-300)
+            spread = np.sqrt(1.0 / n + 1.0 / (n * max(run.n_periods - 1, 1)))
+            out[name][i] = ratio
+            sure[name][i] = (ratio > 1 + SIGMAS * spread) & (ratio > EXCESS)
+    return Signs(out["odd"], out["even"], sure["odd"], sure["even"])

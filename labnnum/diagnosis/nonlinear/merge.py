@@ -1,0 +1,108 @@
+"""Nonlinear physics first, then the linear search on what it leaves: one answer from both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer, answer
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.places import Places
+from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
+from labnnum.diagnosis.words import next_experiment, summarise
+from labnnum.mechanisms.base import ChannelMechanism
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.gates import Gate
+
+
+def nonlinear_first(
+    engine: Engine, gate: Gate, observations: Sequence[Observation], held_out: Sequence[Observation], places: Places,
+    scatter: Scatter, limits: Limits, span: tuple[float, float] | None,
+    again: Callable[[Sequence[Observation], Sequence[Observation]], Diagnosis], progress: Callable[[str], None],
+) -> Diagnosis | None:  # fmt: skip
+    """The whole diagnosis where the runs show nonlinear physics, else None.
+
+    The linear search (`again`) runs on FRFs from which the law's share is taken. Where it names a fault of a channel,
+    that is taken off the spectra and the law is sought once more.
+    """
+    from labnnum.diagnosis.diagnose import _kept_back, _nonlinear
+
+    usable = gate.usable
+    kept = set() if held_out or len(usable) < 2 else _kept_back(usable)
+    train = [o for i, o in enumerate(usable) if i not in kept]
+    test = list(held_out) or [usable[i] for i in sorted(kept)]
+    band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
+    found = answer(engine, train, test, places, scatter, limits, band, progress)
+    if found is None:
+        return None
+    progress("searching for linear physics beside it")
+    rest = again(found.linearised, found.linearised_held_out)
+    if found.misfit > 1.5 and any(n.place.kind == "channel" for n in rest.named):
+        train = [_mended(o, rest.named) for o in train]
+        test = [_mended(o, rest.named) for o in test]
+        second = answer(engine, train, test, places, scatter, limits, band, progress)
+        if second is not None and second.misfit < found.misfit:
+            found = second
+    signs = _nonlinear(observations)
+    return merged(found, rest, gate.named, signs, observations)
+
+
+def merged(
+    found: NonlinearAnswer, rest: Diagnosis, gated: Sequence[Named], signs: dict, observations: Sequence[Observation]
+) -> Diagnosis:
+    """One diagnosis: what the gates found, the nonlinear law, then what the linear search names beside it."""
+    beside = rest.named if found.named and rest.verdict in ("missing-physics", "measurement-fault") else ()
+    named = (*gated, *found.named, *beside)
+    if not found.named and rest.verdict == "measurement-fault":
+        named = (*gated, *rest.named)
+    verdict = "missing-physics" if found.named else "unexplained"
+    if gated:
+        verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
+    place = named[0].place if gated or found.named else found.place
+    detail = {**rest.detail, "nonlinear": found, "reason": found.reason}
+    nonlinear = {**signs, "levels": [float(o.level) for o in observations]}
+    shown = replace(
+        rest, verdict=verdict, named=named if verdict != "unexplained" else (), place=place,
+        alternatives=found.alternatives, located=found.located, base_error=found.base_error,
+        extended_error=found.extended_error, nonlinear=nonlinear, detail=detail,
+    )  # fmt: skip
+    return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
+
+
+def _mended(o: Observation, named: Sequence[Named]) -> Observation:
+    """The observation with the named faults of channels taken off its spectra."""
+    assert o.run is not None
+    run = o.run
+    s = 2j * np.pi * run.frequency
+    names = [c.name for c in run.outputs]
+    u, y, noise = run.u.copy(), run.y.copy(), run.noise.copy()
+    h, variance = o.frf.value.copy(), None if o.frf.variance is None else o.frf.variance.copy()
+    sf = 2j * np.pi * o.frf.frequency
+    for n in named:
+        data = n.term.data
+        if "swap" in data:
+            a, b = data["swap"]
+            y[[a, b]], noise[[a, b]], h[[a, b]] = y[[b, a]], noise[[b, a]], h[[b, a]]
+            if variance is not None:
+                variance[[a, b]] = variance[[b, a]]
+        elif "invert" in data:
+            i = data["invert"]
+            if i < len(names):
+                y[i], h[i] = -y[i], -h[i]
+            else:
+                u, h = -u, -h
+        elif isinstance(n.term.mechanism, ChannelMechanism) and "channel" in data:
+            f = n.term.mechanism.factor(np.where(s == 0, s[1], s), n.value)
+            ff = n.term.mechanism.factor(sf, n.value)
+            i = data["channel"]
+            if i < len(names):
+                y[i], noise[i], h[i] = y[i] / f, noise[i] / np.abs(f) ** 2, h[i] / ff
+            else:
+                u, h = u / f, h * ff
+    return replace(o, run=replace(run, u=u, y=y, noise=noise), frf=replace(o.frf, value=h, variance=variance))

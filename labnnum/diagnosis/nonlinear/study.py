@@ -1,0 +1,370 @@
+"""Which nonlinear law acts, and where: leads from recovered forces, joint fits of the best, general law beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.laws import SHAPES
+from labnnum.diagnosis.nonlinear.locate import (
+    Background,
+    Lead,
+    Recovered,
+    Spot,
+    general_lead,
+    law_leads,
+    recover,
+)  # fmt: skip
+from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint, Made, choose_lines, fit
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.steady import Orbit
+from labnnum.errors import EstimationError
+
+LAWS = (
+    "cubic-stiffness", "quadratic-stiffness", "quadratic-damping", "coulomb-friction", "one-sided-gap", "clearance",
+    "stick-slip",
+)  # fmt: skip
+"""Laws that are regressed on the recovered motion; hysteresis starts from stick-slip."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A law at a spot, fitted; `cost` its objective plus the price of its parameters."""
+
+    lead: Lead
+    made: Made
+    cost: float
+
+    @property
+    def spot(self) -> Spot:
+        """Where."""
+        return self.lead.spot
+
+    @property
+    def mechanism(self) -> str:
+        """Its id."""
+        return self.lead.mechanism
+
+    def same(self, other: Tried) -> bool:
+        """Whether both are one answer."""
+        return self.mechanism == other.mechanism and self.spot.place == other.spot.place
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What the search found: candidates best first, the general law, the base model fitted to the same runs."""
+
+    engine: Engine
+    point: Point
+    runs: tuple[Run, ...]
+    base: Made
+    quiet: Made
+    tried: tuple[Tried, ...]
+    general: Tried | None
+    recovered: tuple[Recovered, ...]
+    held: tuple[Acting, ...]
+
+    @property
+    def best(self) -> Tried:
+        """The candidate that costs least."""
+        return self.tried[0]
+
+
+ENOUGH = 1.15
+"""Chi-square per value at which a law leaves nothing for a general one to explain."""
+
+SPRINGY = ("stick-slip", "coulomb-friction")
+"""Laws that are a spring, or a lock, where the motion is small."""
+
+PRICE = 4.0
+"""Price of one parameter of a law, in chi-square."""
+
+
+def cost(made: Made, mechanism: str) -> float:
+    """Objective plus the price of the law's parameters; what hysteresis only shapes is not counted."""
+    n = 2 if mechanism == "hysteresis" else len(SHAPES[mechanism].names)
+    if mechanism == "general":
+        n = int(np.count_nonzero(made.x[made.n_base :]))
+    return made.objective + PRICE * (n + (1 if mechanism == "hysteresis" else 0))
+
+
+def search(
+    engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
+    *, lines: int = 160, held: Sequence[Acting] = (), held_x: NDArray | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Study | None:  # fmt: skip
+    """Fit the base, locate, regress, and fit the best laws by simulation.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Training runs at their levels.
+    quiet : int
+        Number of the one that distorts least.
+    spots : sequence of Spot
+    held : sequence of Acting
+        Laws that act already, with `held_x` the vector of their fit.
+    """
+    chosen = [choose_lines(r, lines) for r in runs]
+    alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines)])
+    calm = fit(alone, alone.start(), [None], steps=15)
+    plain = Joint(engine, point, runs, (), scatter, chosen)
+    base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
+    background = Background(plain, calm.x[: plain.n_base])
+    progress("locating")
+    found = sorted((recover(plain, calm.x, point, s) for s in spots), key=lambda q: -q.share)
+    few = len(runs[0].outputs) < 3
+    n_first = len(found) if few else 10
+    general = sorted((general_lead(background, q) for q in found[:n_first]), key=lambda lead: -lead.gain)
+    by_spot = {id(q.spot): q for q in found}
+    near = [by_spot[id(lead.spot)] for lead in general[:4]]
+    near += [q for q in found[:2] if q not in near]
+    leads: list[Lead] = []
+    for q in near:
+        leads += law_leads(background, q, LAWS)
+    leads.sort(key=lambda lead: -lead.gain)
+    if not leads:
+        return None
+    progress("fitting nonlinear laws")
+    tried = _fits(engine, point, runs, scatter, chosen, calm, leads)
+    if not tried:
+        return None
+    best = tried[0].made
+    plain_enough = best.data_part < ENOUGH * best.count
+    law = None if plain_enough else _general(engine, point, runs, scatter, chosen, tried[0].made, general, tried)
+    return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found), tuple(held))
+
+
+def _fit_one(
+    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, x: NDArray, lead: Lead, steps: int
+) -> Tried | None:
+    joint = Joint(engine, point, runs, [lead.acting()], scatter, chosen)
+    best: Made | None = None
+    starts = [x]
+    if lead.mechanism in SPRINGY:  # the quiet run's base holds their spring already
+        fresh = x.copy()
+        n, m = engine.theta0.size, engine.band_modes.size
+        fresh[:n], fresh[n : n + m] = engine.theta0, 0.0
+        fresh[n + 2 * m : n + 3 * m] = 0.0
+        starts.append(fresh)
+    for start in starts:
+        try:
+            made = fit(joint, joint.start(start), [None] * len(runs), steps=steps, exact=steps > 6)
+        except (EstimationError, np.linalg.LinAlgError):
+            continue
+        if best is None or made.objective < best.objective:
+            best = made
+    return None if best is None else Tried(lead, best, cost(best, lead.mechanism))
+
+
+def _carry_on(
+    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, tried: Tried, steps: int
+) -> Tried:
+    joint = Joint(engine, point, runs, tried.made.terms, scatter, chosen)
+    try:
+        made = fit(joint, tried.made.x, tried.made.orbits, steps=steps)
+    except (EstimationError, np.linalg.LinAlgError):
+        return tried
+    return Tried(tried.lead, made, cost(made, tried.mechanism))
+
+
+def _onto(t: Tried, engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen) -> Tried | None:
+    """A fit to some runs taken to all."""
+    p, _ = t.made.law(0)
+    full = np.zeros(N_P)
+    full[: p.size] = p
+    lead = replace(t.lead, p=full)
+    return _fit_one(engine, point, runs, scatter, chosen, t.made.x[: t.made.n_base], lead, 1)
+
+
+def _shortlist(leads: Sequence[Lead], most: int) -> list[Lead]:
+    """The best of each mechanism, the best of each spot, in the order of their gains; one of each pair."""
+    out: list[Lead] = []
+    seen_m: dict[str, int] = {}
+    seen_s: dict[tuple, int] = {}
+    for lead in leads:
+        if lead.mechanism == "hysteresis" or lead.gain < 0.1 * leads[0].gain:
+            continue
+        m, s = seen_m.get(lead.mechanism, 0), seen_s.get((lead.spot.place, lead.spot.axis), 0)
+        if m >= 2 and s >= 1:
+            continue
+        seen_m[lead.mechanism], seen_s[(lead.spot.place, lead.spot.axis)] = m + 1, s + 1
+        out.append(lead)
+        if len(out) == most:
+            break
+    return out
+
+
+def _fits(
+    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, calm: Made, leads: Sequence[Lead],
+    first: int = 6, second: int = 2,
+) -> list[Tried]:  # fmt: skip
+    ends = sorted({0, len(runs) - 1})
+    two, thin = [runs[i] for i in ends], [chosen[i] for i in ends]
+    rough = [_fit_one(engine, point, two, scatter, thin, calm.x, lead, 3) for lead in _shortlist(leads, first)]
+    rough = sorted((t for t in rough if t is not None), key=lambda t: t.cost)
+    tried = [_onto(t, engine, point, runs, scatter, chosen) for t in rough[:4]]
+    tried = sorted((t for t in tried if t is not None), key=lambda t: t.cost)
+    if not tried:
+        return []
+    close = [t for t in tried[:second] if t.cost < 3 * tried[0].cost]
+    done = [_carry_on(engine, point, runs, scatter, chosen, t, 10) for t in close]
+    done = sorted([*done, *tried[len(close) :]], key=lambda t: t.cost)
+    # the best place with every law that its motion allows, and hysteresis beside stick-slip
+    best = done[0]
+    have = {t.mechanism for t in done if t.spot.place == best.spot.place}
+    more = [
+        lead for lead in leads
+        if lead.spot.place == best.spot.place and lead.mechanism not in have and lead.mechanism != "hysteresis"
+    ]  # fmt: skip
+    poor = best.made.data_part > 2.0 * best.made.count
+    more = [lead for lead in more if lead.gain > 0.2 * leads[0].gain or (poor and lead.mechanism in SPRINGY)]
+    for lead in more[:4]:
+        one = _fit_one(engine, point, runs, scatter, chosen, best.made.x[: engine_size(best.made)], lead, 5)
+        if one is not None:
+            done.append(one)
+    slip = next((t for t in sorted(done, key=lambda t: t.cost) if t.mechanism == "stick-slip"), None)
+    if slip is not None and slip.spot.place == best.spot.place:
+        p, _ = slip.made.law(0)
+        start = np.zeros(N_P)
+        start[:4] = p[0], p[1] / p[0], 2.0, 0.5
+        lead = Lead(slip.spot, "hysteresis", start, slip.lead.gain)
+        one = _fit_one(engine, point, runs, scatter, chosen, slip.made.x[: engine_size(slip.made)], lead, 14)
+        if one is not None:
+            done.append(one)
+    done.sort(key=lambda t: t.cost)
+    front = [_carry_on(engine, point, runs, scatter, chosen, t, 8) if not t.made.converged else t for t in done[:2]]
+    return sorted([*front, *done[2:]], key=lambda t: t.cost)
+
+
+def engine_size(made: Made) -> int:
+    """Length of the base part of a fit's vector."""
+    return made.n_base
+
+
+def _general(
+    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, best: Made,
+    general: Sequence[Lead], tried: Sequence[Tried],
+) -> Tried | None:  # fmt: skip
+    """The general law, fitted at the best candidate's spot from its base, and at its own best spot."""
+    own = next((g for g in general if g.spot.place == tried[0].spot.place and g.gain > 0), None)
+    leads = [g for g in general[:2] if g.gain > 0]
+    if own is not None and own not in leads:
+        leads.append(own)
+    out = [_fit_one(engine, point, runs, scatter, chosen, best.x[: best.n_base], g, 8) for g in leads]
+    found = [t for t in out if t is not None]
+    return min(found, key=lambda t: t.cost) if found else None
+
+
+def at_places(
+    study: Study, tried: Tried, spots: Sequence[Spot], scatter: Scatter, lines: int = 220, most: int = 4
+) -> list[Tried]:
+    """The winning law at its rivals' spots, each fitted: places that explain as well are named beside it."""
+    chosen = [choose_lines(r, lines) for r in study.runs]
+    p, _ = tried.made.law(0)
+    full = np.zeros(N_P)
+    full[: p.size] = p
+    out = []
+    for s in spots[:most]:
+        lead = replace(tried.lead, spot=s, p=full)
+        one = _fit_one(
+            study.engine, study.point, study.runs, scatter, chosen, tried.made.x[: tried.made.n_base], lead, 5
+        )
+        if one is not None:
+            out.append(one)
+    return out
+
+
+def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 350, most: int = 2) -> list[Tried]:
+    """All candidates, best first, the `most` best fitted on more lines so that near ones are told apart.
+
+    Costs of the others are raised by what the best's own rose with the lines: they stay comparable.
+    """
+    everyone = sorted([*study.tried, *more], key=lambda t: t.cost)
+    front: list[Tried] = []
+    for t in everyone:
+        if not any(t.same(o) for o in front):
+            front.append(t)
+    limit = everyone[0].cost * 3 + 1e3
+    chosen = [choose_lines(r, lines) for r in study.runs]
+    done = [
+        _carry_on(study.engine, study.point, study.runs, scatter, chosen, t, 4) for t in front[:most] if t.cost < limit
+    ]
+    best = min(done, key=lambda t: t.cost)
+    ratio = best.made.count / everyone[0].made.count
+    rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
+    return sorted([*done, *rest], key=lambda t: t.cost)
+
+
+GAIN = 0.3
+"""Share of what the laws so far leave beyond noise that one more must remove."""
+
+
+def further(
+    study: Study, first: Tried, spots: Sequence[Spot], scatter: Scatter, alarm: float, lines: int = 250, *,
+    general: bool = False,
+) -> Tried | None:  # fmt: skip
+    """One more law beside those of `first`: the best that any spot's remaining force asks for, fitted with them.
+
+    Parameters
+    ----------
+    general : bool
+        Whether the general law is tried, instead of named ones, at the places that act already.
+
+    Returns
+    -------
+    Tried or None
+        Its `made` holds the laws so far and the new one; None where none gains `alarm` and `GAIN` of the excess.
+    """
+    engine, point, runs = study.engine, study.point, study.runs
+    chosen = [choose_lines(r, lines) for r in runs]
+    held = first.made.terms
+    joint = Joint(engine, point, runs, held, scatter, chosen)
+    made = fit(joint, first.made.x, first.made.orbits, steps=4)
+    background = Background(joint, made.x, made.orbits)
+    here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
+    found = sorted(
+        (recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)), key=lambda q: -q.share
+    )
+    leads: list[Lead] = []
+    for q in found[:3] if general else [*found[:5], *(q for q in found[5:] if q.spot in here)]:
+        leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
+    leads = sorted((lead for lead in leads if lead.gain > alarm), key=lambda lead: -lead.gain)
+    best: Tried | None = None
+    for lead in leads[: 1 if general else 4]:
+        more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
+        m = engine.band_modes.size
+        base, laws = made.x[: made.n_base], made.x[made.n_base :]
+        x = np.concatenate([base, np.zeros(m), laws, lead.p[: lead.acting().n]])
+        start = [_with_one_more(o) for o in made.orbits]
+        try:
+            one = fit(more, x, start, steps=8)
+        except (EstimationError, np.linalg.LinAlgError):
+            continue
+        tried = Tried(lead, one, cost(one, lead.mechanism))
+        if best is None or tried.cost < best.cost:
+            best = tried
+    if best is None:
+        return None
+    excess = max(1.0, best.made.data_part / best.made.count)
+    gain = (made.objective - best.cost) / excess
+    left = max(made.objective - made.count, 1.0) / excess
+    return best if gain > max(alarm, GAIN * left) else None
+
+
+def _with_one_more(o: Orbit | None) -> Orbit | None:
+    """The orbit with a further force that is still zero."""
+    if o is None:
+        return None
+    zero = np.zeros_like(o.force[:1])
+    return Orbit(
+        o.x, np.append(o.f, 0.0), np.vstack([o.memory, np.zeros((1, 2))]), np.vstack([o.force, zero]),
+        np.hstack([o.time, np.zeros((o.time.shape[0], 1))]),
+        np.concatenate([o.motion, np.zeros((o.motion.shape[0], 1, 2))], axis=1), o.closing,
+    )  # fmt: skip

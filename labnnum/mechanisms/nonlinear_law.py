@@ -1,0 +1,60 @@
+"""A nonlinear law at a motion: what its mechanisms share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.mechanisms.base import TRANSLATIONS, Mechanism, Place, Site, Term
+from labnnum.mechanisms.local_dashpot import relative
+from labnnum.parameters import Parameter
+
+
+class NonlinearMechanism(Mechanism):
+    """A force f(z, z') that opposes the motion z of a node against the ground, or of two neighbours.
+
+    It has no dynamic stiffness: in a linear model it acts as nothing, in time and in harmonic balance as its law.
+    """
+
+    domain = "nonlinear"
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    positive: bool = True
+    sides: bool = False
+    """Whether the law differs for the two senses of the motion; variants "-x" stand for the reversed one."""
+
+    def terms(self, site: Site) -> Iterable[Term]:
+        """Each translation of each node against the ground, each relative translation of neighbours."""
+        for node in site.free_nodes:
+            for axis in TRANSLATIONS:
+                column = site.rows(node, (axis,))
+                if column.size:
+                    yield from self._both(Place("ground", node), axis, column[:, 0])
+        for a, b in site.elements:
+            for axis in TRANSLATIONS:
+                column = relative(site, a, b, axis)
+                if column is not None:
+                    yield from self._both(Place("joint", a, b), axis, column[:, 0])
+
+    def _both(self, place: Place, axis: str, column: NDArray) -> Iterable[Term]:
+        yield self.term(place, axis, column)
+        if self.sides:
+            yield self.term(place, "-" + axis, -column)
+
+    def term(self, place: Place, variant: str, column: NDArray) -> Term:
+        """The law at one motion."""
+        low = 0.0 if self.positive else -np.inf
+        parameters = tuple(
+            Parameter(n, 0.0, low if i == 0 else 0.0, np.inf, u)
+            for i, (n, u) in enumerate(zip(self.names, self.units, strict=True))
+        )
+        starts = np.zeros((0, len(parameters)))
+        return Term(self, place, parameters, starts, variant=variant, data={"column": column})
+
+    def sense(self, term: Term, p: NDArray) -> str | None:
+        """Hardening or softening where the sign of the first parameter says so."""
+        if self.positive:
+            return None
+        return "hardening" if p[0] > 0 else "softening"
