@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import Change, ChannelMechanism, Site, Term
-from labnnum.mechanisms.geometry import held_motions
+from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
 
@@ -273,12 +273,13 @@ class Engine:
         drive = () if self.is_base else tuple(dict.fromkeys(c.dof for c in self.inputs))
         for dof in drive:
             dofs.setdefault(dof, self.participation(dof, self.theta0))
-        return Site(
+        site = Site(
             np.real(m.M), np.real(m.K), dofs, dict(self.structure.nodes), tuple(free_nodes), tuple(elements),
             tuple(supports), self.outputs + self.inputs, len(self.outputs), first.omega[self.band_modes],
             first.shape[:, self.band_modes], rigid, drive,
             tuple(np.real(d.K) for d in self.structure.derivatives(self.theta0)), self.held,
         )  # fmt: skip
+        return replace(site, mesh=self.structure.elements or touching(site))
 
     # ---------------------------------------------------------------- responses
 

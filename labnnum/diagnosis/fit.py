@@ -9,14 +9,16 @@ which are marginalised exactly. Missing physics is what they cannot explain at a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point, Response
-from labnnum.mechanisms.base import Term
+from labnnum.errors import LabnnumError
+from labnnum.mechanisms.base import Change, Term
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +141,37 @@ class Problem:
         """Inside the bounds."""
         return np.minimum(np.maximum(x, self.low), self.high)
 
+    def centred(self, x: NDArray, ahead: NDArray) -> NDArray:
+        """`ahead`, its frequency offsets corrected so that the modes land where the step from `x` meant them to.
+
+        Parameters move frequencies along a curve, the offsets undo it along a line; on peaks sharper than the
+        difference a step would be lost. The data then see a straight step, and only the price sees the curve.
+        """
+        here, there = self.start.with_vector(x), self.start.with_vector(ahead)
+        if np.array_equal(here.theta, there.theta) and not self._whole:
+            return ahead
+        e, b = self.engine, self.engine.band_modes
+        try:
+            old = e.state(here.theta, [(w, here.terms[c]) for w, c in self._whole])
+            new = e.state(there.theta, [(w, there.terms[c]) for w, c in self._whole])
+        except LabnnumError:
+            return ahead
+        moved = [there.theta - here.theta, *(there.terms[c] - here.terms[c] for _, c in self._whole)]
+        meant = np.log(old.omega[b]) + np.concatenate(moved) @ old.d_log[:, b]
+        meant += np.log1p(here.shift) + (there.shift - here.shift) / (1 + here.shift)
+        shift = np.exp(meant) / new.omega[b] - 1
+        shift = np.where(np.abs(shift - there.shift) < 0.02, shift, there.shift)
+        return replace(there, shift=shift).vector()
+
+    @cached_property
+    def _whole(self) -> list[tuple[Change, slice]]:
+        out, at = [], 0
+        for t in self.terms:
+            if t.whole is not None:
+                out.append((t.whole, slice(at, at + t.n)))
+            at += t.n
+        return out
+
     def _rows(self, a: Any) -> NDArray:
         """Complex (..., o, i, f) over sigma to real (o i, 2 f, ...)."""
         a = a * (self.root2 / self.data.sigma)
@@ -242,7 +275,7 @@ def fit(
         moved = False
         for _ in range(6):
             step = _step(problem, here, x, damping)
-            trial = problem.clip(x + step)
+            trial = problem.clip(problem.centred(x, x + step))
             value = problem.value(trial, here)
             if np.isfinite(value) and value < here.objective:
                 moved = True

@@ -146,7 +146,7 @@ def with_noise_found(task: Task, held: Sequence[Term], start: Point) -> Data:
 
 def select(
     engine: Engine, frf: Frf, terms: Sequence[Term], general: Sequence[Term], scatter: Scatter, limits: Limits,
-    *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 8,
+    *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 10,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Selection:  # fmt: skip
     """Add the best term while it pays (`limits`), `depth` at most.
@@ -236,8 +236,8 @@ def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> 
     engine, scatter = task.engine, task.scatter
     x = before.fit.point.vector()
     nominal = _afresh(engine, before).vector()
-    fine = shortlist(direction_score(engine, task.coarse, scatter, terms, x, before.terms), width)
-    rough = shortlist(grid_score(engine, task.ladder[0], scatter, terms, nominal, before.terms), width)
+    fine = shortlist(direction_score(engine, task.coarse, scatter, terms, x, before.terms), width, task.counts)
+    rough = shortlist(grid_score(engine, task.ladder[0], scatter, terms, nominal, before.terms), width, task.counts)
     found = [_try(task, lead, before) for lead in fine]
     found += [_try(task, _faint(lead), before) for lead in fine[:5]]
     found += [_try(task, lead, before, 0) for lead in rough]

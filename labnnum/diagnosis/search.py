@@ -9,7 +9,7 @@ The first finds gross faults, the second faint ones; both keep the best of each 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -211,13 +211,21 @@ def _mode_lead(engine: Engine, profile: Profile, term: Term, data: Data, point: 
     return Lead(term, start, best - 4.0 * n_o)
 
 
-def shortlist(leads: Sequence[Lead], n: int) -> list[Lead]:
-    """At most `n` leads: the best of the best mechanisms, then the best of the rest, three a mechanism at most."""
-    worth = sorted((x for x in leads if x.gain > 3.0 * x.term.n), key=lambda x: -(x.gain - 3.0 * x.term.n))
+def shortlist(leads: Sequence[Lead], n: int, counts: Mapping[str, int] | None = None) -> list[Lead]:
+    """At most `n` leads: the best of the best mechanisms, then the best of the rest, three a mechanism at most.
+
+    They are ranked by what they gain beyond their parameters, and beyond luck in as many terms as a mechanism has.
+    """
+    counts = counts or {}
+
+    def net(x: Lead) -> float:
+        return x.gain - 4.0 * x.term.n - 2.0 * float(np.log(counts.get(x.term.mechanism.id, 1)))
+
+    worth = sorted((x for x in leads if x.gain > 3.0 * x.term.n), key=lambda x: -net(x))
     first: dict[str, Lead] = {}
     for lead in worth:
         first.setdefault(lead.term.mechanism.id, lead)
-    out = list(first.values())[: max(n - 3, n // 2)]
+    out = list(first.values())[: max(n - 2, n // 2)]
     for lead in worth:
         if len(out) >= n:
             break

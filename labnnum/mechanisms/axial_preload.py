@@ -46,7 +46,7 @@ class AxialPreload(Mechanism):
     def terms(self, site: Site) -> Iterable[Term]:
         """The whole line of elements at once, where nodes have coordinates."""
         total = np.zeros_like(site.stiffness)
-        for a, b in site.elements:
+        for a, b in site.mesh:
             part = geometric_stiffness(site, a, b)
             if part is not None:
                 total += part

@@ -248,6 +248,8 @@ class Site:
         Derivatives of the stiffness to the structure's parameters.
     held : dict
         Support -> `Held`, the motions that it holds.
+    mesh : tuple of (str, str)
+        All elements, for mechanisms of the whole structure.
     """
 
     mass: NDArray
@@ -265,6 +267,7 @@ class Site:
     drive: tuple[str, ...]
     slopes: tuple[NDArray, ...] = ()
     held: Mapping[str, Held] = field(default_factory=dict)
+    mesh: tuple[tuple[str, str], ...] = ()
 
     def rows(self, node: str, directions: tuple[str, ...]) -> NDArray[np.float64]:
         """Columns (n, k) of the node's degrees of freedom in `directions` that exist."""

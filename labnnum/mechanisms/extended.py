@@ -258,7 +258,8 @@ def site_of(
         n_outputs, np.sqrt(value[elastic]), shape[:, elastic], rigid, tuple(drive),
         tuple(np.real(d.K) for d in structure.derivatives(theta)), held_motions(structure),
     )  # fmt: skip
-    return site if structure.elements else replace(site, elements=touching(site))
+    mesh = structure.elements or touching(site)
+    return replace(site, elements=mesh, mesh=mesh)
 
 
 def extend(structure: Structure, entries: Sequence[Mapping[str, Any]]) -> Structure:

@@ -102,7 +102,7 @@ def thickness_of(site: Site) -> Thickness | None:
     n = site.stiffness.shape[0]
     shears, gains, lengths, rigidities = [], [], [], []
     turning = np.zeros((n, n))
-    for a, b in site.elements:
+    for a, b in site.mesh:
         found = element_stiffness(site, a, b)
         bent = geometric_stiffness(site, a, b)
         if found is None or bent is None or not bent.any():
@@ -132,16 +132,16 @@ def thickness_of(site: Site) -> Thickness | None:
 def _line_density(site: Site) -> float:
     """Mass per length, in kg/m: what a node carries in a translation over the length that it stands for."""
     reach: dict[str, float] = {}
-    for a, b in site.elements:
+    for a, b in site.mesh:
         if a in site.nodes and b in site.nodes:
             half = float(np.linalg.norm(np.subtract(site.nodes[b], site.nodes[a]))) / 2
             reach[a], reach[b] = reach.get(a, 0.0) + half, reach.get(b, 0.0) + half
-    held = {n for pair in site.elements if set(pair) & set(site.supports) for n in pair}
+    held = {n for pair in site.mesh if set(pair) & set(site.supports) for n in pair}
     out = []
     for axis in TRANSLATIONS:
-        rows = {d.split(":")[0]: v for d, v in site.dofs.items() if d.endswith(f":{axis}")}
+        rows = {n: site.dofs[f"{n}:{axis}"] for n in reach if f"{n}:{axis}" in site.dofs}
         together = sum(rows.values(), np.zeros(site.mass.shape[0]))
-        out += [float(v @ site.mass @ together) / reach[n] for n, v in rows.items() if reach.get(n) and n not in held]
+        out += [float(v @ site.mass @ together) / reach[n] for n, v in rows.items() if n not in held]
     return float(np.median(out)) if out else 0.0
 
 
