@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from labnnum.errors import ConfigError
 from sessions.prove import dissertation
 from sessions.prove.truth.bench import first_modes
 from sessions.prove.truth.dissertation import ACCELEROMETER, EFFECTS
@@ -67,3 +68,8 @@ def test_a_right_answer_is_called_right_and_silence_wrong(tmp_path, monkeypatch)
     (row,) = dissertation.run(tmp_path, names=["frame-sound"])
     assert row["right"]
     assert json.loads((tmp_path / "dissertation.json").read_text())[0]["case"] == "frame-sound"
+
+
+def test_a_case_that_is_none_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="beam-sound"):
+        dissertation.run(tmp_path, names=["plate"])

@@ -33,6 +33,9 @@ def prove(
     score_only: Annotated[
         bool, typer.Option("--score-only", help="Score the answers that are there so far, whoever gave them.")
     ] = False,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Draw the whole suite, but diagnose this case only; may be given again.")
+    ] = None,
     tool: Annotated[
         str, typer.Option(help="module:function that diagnoses: (recordings, model, out) writes out/diagnosis.json.")
     ] = "sessions.diagnose:diagnose_files",
@@ -54,13 +57,14 @@ def prove(
 
     console = Console(stderr=True)
     if suite == "dissertation":
-        _dissertation(console, out, jobs, tool, as_json)
+        _dissertation(console, out, jobs, tool, only or [], as_json)
         return
     from sessions.prove.run import Order, start
 
     order = Order(suite, cases, seed, out, jobs, keep, tool)
     with console.status("drawing the suite"):
         tickets, sha256 = start(order)
+        tickets = _those(tickets, only)
     console.print(f"sealed truth of {len(tickets)} cases: {out / 'truth.json'}\nSHA-256 {sha256}", highlight=False)
     if draw_only:
         _draw_only(console, order, tickets)
@@ -74,7 +78,17 @@ def prove(
         _show(Console(), found, out)
 
 
-def _dissertation(console: Console, out: Path, jobs: int, tool: str, as_json: bool) -> None:
+def _those(tickets: Any, only: list[str] | None) -> Any:
+    """The tickets of the cases asked for, all of them if none is."""
+    from labnnum.errors import ConfigError
+
+    unknown = set(only or ()) - {t.name for t in tickets}
+    if unknown:
+        raise ConfigError(f"--only {min(unknown)}: the suite holds {tickets[0].name} to {tickets[-1].name}")
+    return tuple(t for t in tickets if not only or t.name in only)
+
+
+def _dissertation(console: Console, out: Path, jobs: int, tool: str, only: list[str], as_json: bool) -> None:
     import json
 
     from rich.console import Console
@@ -83,7 +97,7 @@ def _dissertation(console: Console, out: Path, jobs: int, tool: str, as_json: bo
 
     with _progress(console) as progress:
         bars = _Bars(progress)
-        rows = dissertation.run(out, jobs, tool, step=lambda done, total: bars.step("diagnosing", done, total))
+        rows = dissertation.run(out, jobs, tool, only, lambda done, total: bars.step("diagnosing", done, total))
     if as_json:
         typer.echo(json.dumps(rows))
         return

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.random import default_rng
 
+from labnnum.errors import ConfigError
 from sessions.prove.answers import describe, held_out_ratio, judge
 from sessions.prove.cases import Case, sound_twin
 from sessions.prove.folder import write_case
@@ -95,6 +96,9 @@ def run(
     step: Callable[[int, int], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Every effect (or those named) concealed, diagnosed and judged; rows in the order of `EFFECTS`, kept in `out`."""
+    unknown = set(names) - {e.name for e in EFFECTS}
+    if unknown:
+        raise ConfigError(f"case {min(unknown)!r} is not one of {', '.join(e.name for e in EFFECTS)}")
     todo = [e for e in EFFECTS if not names or e.name in names]
     rows: dict[str, dict[str, Any]] = {}
     for effect, row in each(partial(answer, out=out, tool=tool), todo, jobs):
