@@ -24,6 +24,9 @@ from labnnum.mechanisms import CATALOGUE
 from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
 
+UNCONFIRMED = "no nonlinear law gains more than a sound structure's scatter"
+"""Signs without a law: a converter's steps and a shaker's harmonics repeat every period as well."""
+
 MECHANISMS = {m.id: m for m in CATALOGUE if isinstance(m, NonlinearMechanism)}
 
 
@@ -126,7 +129,7 @@ def _decide(
     behind = (best.cost - found.general.cost) / excess if found.general is not None else -np.inf
     reason = ""
     if total < limits.alarm:
-        reason = "no nonlinear law gains more than a sound structure's scatter"
+        reason = UNCONFIRMED
     elif misfit > MISFIT and misfit > 0.02 * base.objective / base.count:
         reason = "what the best nonlinear law leaves is far more than noise"
     elif behind > max(limits.alarm, limits.behind * total):

@@ -33,6 +33,17 @@ class Signs:
         return bool((sure.sum(axis=1) >= need).any())
 
 
+def _white(y: NDArray, block: int = 64) -> NDArray[np.float64]:
+    """Power per line of the quietest stretch of each channel's spectrum, (n_out,): what a converter's steps leave
+    everywhere, and at every period alike.
+    """
+    n = y.shape[1] // block * block
+    if n < 2 * block:
+        return np.zeros(y.shape[0])
+    power = np.abs(y[:, :n]) ** 2
+    return np.median(power.reshape(y.shape[0], -1, block), axis=2).min(axis=1) / np.log(2)
+
+
 def signs(runs: Sequence[Run]) -> Signs:
     """Distortion of each run and channel against the noise that its periods show."""
     shape = (len(runs), runs[0].y.shape[0])
@@ -46,12 +57,14 @@ def signs(runs: Sequence[Run]) -> Signs:
         h = run.y[:, lines] / run.u[lines]
         through = np.array([np.interp(grid, lines, r.real) + 1j * np.interp(grid, lines, r.imag) for r in h])
         left = np.abs(run.y - through * run.u) ** 2
+        floor = _white(run.y)
         for name, parity in (("odd", 1), ("even", 0)):
             at = run.quiet & (grid % 2 == parity)
             n = np.count_nonzero(at)
             if n < 4:
                 continue
-            ratio = left[:, at].mean(axis=1) / np.maximum(run.noise[:, at].mean(axis=1), 1e-300)
+            noise = run.noise[:, at].mean(axis=1) + floor
+            ratio = left[:, at].mean(axis=1) / np.maximum(noise, 1e-300)
             spread = np.sqrt(1.0 / n + 1.0 / (n * max(run.n_periods - 1, 1)))
             out[name][i] = ratio
             sure[name][i] = (ratio > 1 + SIGMAS * spread) & (ratio > EXCESS)

@@ -10,7 +10,7 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
-from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer, answer
+from labnnum.diagnosis.nonlinear.answer import UNCONFIRMED, NonlinearAnswer, answer
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
@@ -39,7 +39,7 @@ def nonlinear_first(
     test = list(held_out) or [usable[i] for i in sorted(kept)]
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
     found = answer(engine, train, test, places, scatter, limits, band, progress)
-    if found is None:
+    if found is None or found.reason == UNCONFIRMED:
         return None
     progress("searching for linear physics beside it")
     rest = again(found.linearised, found.linearised_held_out)
