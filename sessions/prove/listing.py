@@ -86,7 +86,7 @@ def failures(cases: Sequence[Scored]) -> list[dict[str, Any]]:
 def why(case: Scored) -> str:
     """Why a case is a failure, in a few words; empty if it is none."""
     if case.judged is None:
-        return f"no answer: {case.error}"
+        return f"no answer: {case.error.splitlines()[0] if case.error else 'no reason'}"
     j = case.judged
     if case.family == "null":
         return "named" if j.named else "false alarm" if j.alarm else ""
