@@ -332,8 +332,7 @@ class AudioDigitiser(Digitiser):
         """Learn from the deliveries since the last time: the clock, and what is to be told."""
         for mark in self._ring.marks():
             self._count(mark)
-        drift, error = self.clock.drift_ppm, self.clock.error_ppm
-        if certain(drift, error, 1e6 * WRONG):
+        if self.clock.is_wrong(1e6 * WRONG):
             raise ProtocolError(
                 f"audio device {self.name!r} delivers {self.clock.rate:.0f} frames per second,"
                 f" not {self._rate:g}: set the rate that it really has"

@@ -11,6 +11,8 @@ BIN = 1.0
 """s over which the earliest delivery stands for all: late ones tell about the computer, not about the device."""
 NOTICED_PPM = 50.0
 """Drift that is worth a note, if it is certain."""
+ENOUGH = 8
+"""Bins from which a rate may be called wrong: both halves of them must say so."""
 KEPT = 3600
 """Bins that are remembered."""
 
@@ -82,6 +84,24 @@ class Clock:
         drift = self.drift_ppm
         return self.nominal * (1 + 1e-6 * (0.0 if math.isnan(drift) else drift))
 
+    def is_wrong(self, least: float) -> bool:
+        """Whether frames come faster, or slower, by more than `least` ppm throughout.
+
+        A computer that was too busy delivers late and then catches up, which looks like a fast clock for a while; so
+        both halves of the time must agree with the whole within a quarter, and a fast clock must be early against
+        the first second too.
+        """
+        points = self._bins[1:-1]
+        if len(points) < ENOUGH:
+            return False
+        half = len(points) // 2
+        drift, error = self._fit()
+        parts = [_line(p)[0] for p in (points[:half], points[half:])]
+        early = self._bins[0][1] - points[-1][1]
+        caught_up = drift > 0 and early < 0.5e-6 * drift * (points[-1][0] - self._begin)
+        agree = all(abs(p - drift) < 0.25 * abs(drift) for p in parts)
+        return certain(drift, error, least) and agree and not caught_up
+
     def time_of(self, frame: int) -> float:
         """When `frame` was digitised, in s of the clock that deliveries are timed by."""
         return frame / self.nominal + min((late for _, late in self._bins[-10:]), default=math.nan)
@@ -93,14 +113,17 @@ class Clock:
     def _fit(self) -> tuple[float, float]:
         """Drift and its standard error, in ppm; the first and the last bin are left out, being incomplete."""
         points = self._bins[1:-1]
-        if len(points) < 4:
-            return math.nan, math.inf
-        time, late = np.array(points).T
-        time = time - time.mean()
-        slope = float(time @ late / (time @ time))
-        left = late - late.mean() - slope * time
-        error = math.sqrt(float(left @ left) / (len(points) - 2) / float(time @ time))
-        return -1e6 * slope, 1e6 * error
+        return _line(points) if len(points) >= 4 else (math.nan, math.inf)
+
+
+def _line(points: list[tuple[float, float]]) -> tuple[float, float]:
+    """Drift and its standard error in ppm, from times and delays."""
+    time, late = np.array(points).T
+    time = time - time.mean()
+    slope = float(time @ late / (time @ time))
+    left = late - late.mean() - slope * time
+    error = math.sqrt(float(left @ left) / (len(points) - 2) / float(time @ time))
+    return -1e6 * slope, 1e6 * error
 
 
 def drift_between(one: Clock, other: Clock) -> tuple[float, float]:

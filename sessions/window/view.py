@@ -165,7 +165,7 @@ class View(QtWidgets.QMainWindow):
             if len(s.hits) != self._closed_in and s.inputs:
                 self._closed_in = len(s.hits)
                 low, high = around_pulse(s.hit[s.inputs[0]])
-                self.hit.plot.setXRange(low / s.rate, high / s.rate, padding=0)
+                self.hit.plot.setXRange(low / s.rate, high / s.rate)
 
     def _draw_frf(self, c: Curves | None) -> None:
         if c is None:
@@ -179,7 +179,7 @@ class View(QtWidgets.QMainWindow):
         self.phase.draw(c.frequency, c.phase, names)
         if c.phase.size:
             low = min(90.0 * np.floor(float(np.nanmin(c.phase)) / 90.0), -180.0)
-            self.phase.plot.setYRange(low - 5, max(low + 365, float(np.nanmax(c.phase)) + 5), padding=0)
+            self.phase.plot.setYRange(low - 5, max(low + 365, float(np.nanmax(c.phase)) + 5))
         if c.coherence is not None:
             self.coherence.draw(c.frequency, c.coherence, names)
 

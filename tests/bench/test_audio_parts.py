@@ -147,6 +147,20 @@ def test_a_device_that_runs_at_another_rate_is_told_the_rate_that_it_has():
         delivered(44100.0, 12.0).read()
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_computer_that_falls_behind_and_catches_up_is_no_wrong_rate(seed):
+    """After the first second deliveries stall now and then, and come five percent too fast until they are in time."""
+    random = np.random.default_rng(seed)
+    clock, now = Clock(48000.0), 0.0
+    for n in range(0, 48000 * 40, 480):
+        due = n / 48000
+        now = max(now + 0.0095, due)
+        if due > 1 and random.random() < 3e-4:
+            now += random.uniform(0.3, 1.5)
+        clock.add(n, now)
+        assert not clock.is_wrong(1e4), f"after {due:.1f} s"
+
+
 def test_a_clock_that_drifts_is_noted_and_one_that_does_not_is_not():
     drifting = delivered(48000 * (1 + 180e-6), 30.0)
     drifting.read()
