@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,11 @@ import numpy as np
 from labnnum.diagnosis import Diagnosis, Limits, Observation, Scatter, diagnose, observe_all, observe_frf
 from labnnum.errors import FileError, InputError
 from labnnum.frf import Frf
-from labnnum.mechanisms import CATALOGUE
 from labnnum.recording import Recording
 from sessions.exchange import read_any
 from sessions.limits import read_limits
 from sessions.model import Model, read_model, write_model
+from sessions.own_mechanisms import catalogue, source_of, sources
 
 
 def observations_of(paths: Sequence[str | Path], channels: str | Path | None = None) -> list[Observation]:
@@ -47,6 +48,7 @@ def run(
     channels: str | Path | None = None,
     rig: str | Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
+    mechanisms: Sequence[str | Path] = (),
 ) -> Diagnosis:
     """Read, observe and diagnose; limits and scatter of the rig where it was calibrated.
 
@@ -64,7 +66,8 @@ def run(
     places = {k: getattr(p, k) for k in ("nodes", "elements", "supports") if getattr(p, k) is not None}
     span = (0.9 * model.bands[0].low, 1.05 * model.bands[-1].high) if model.bands else None
     return diagnose(
-        model.structure, train, test, places=places, span=span, scatter=scatter, limits=limits, catalogue=CATALOGUE,
+        model.structure, train, test, places=places, span=span, scatter=scatter, limits=limits, 
+        catalogue=catalogue([*mechanisms, *sources(model.raw.get("mechanism", ()), model.path.parent)]),
         progress=progress,
     )  # fmt: skip
 
@@ -95,10 +98,11 @@ def diagnose_files(
     channels: str | Path | None = None,
     rig: str | Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
+    mechanisms: Sequence[str | Path] = (),
 ) -> dict[str, Any]:
     """Content of diagnosis.json, written with diagnosis.html and extended.toml into the folder `out`."""
     read = read_model(model)
-    d = run(recordings, read, held_out, channels, rig, progress)
+    d = run(recordings, read, held_out, channels, rig, progress, mechanisms)
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     content = d.as_dict()
@@ -119,7 +123,12 @@ def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
     tables = {k: v for k, v in model.raw.items() if k != "mechanism"}
     made = d.detail["final"]
     tables = _updated(path, model, tables, made.point.theta)
-    tables["damping"] = {"kind": "modal", "ratio": [float(f"{z:.6g}") for z in _ratios(d)]}
+    ratios = [float(f"{z:.6g}") for z in _ratios(d)]
+    if tables["structure"].get("kind") == "modal":
+        own = [{**m, "damping_ratio": z} for m, z in zip(tables["structure"]["mode"], ratios, strict=False)]
+        tables["structure"] = {**tables["structure"], "mode": own}
+    else:
+        tables["damping"] = {"kind": "modal", "ratio": ratios}
     moved = Model(
         model.structure,
         model.bands,
@@ -127,7 +136,7 @@ def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
         tables,
         path if tables["structure"] is not model.raw["structure"] else model.path,
     )
-    write_model(path, moved, _entries(d))
+    write_model(path, moved, _entries(d, path.parent))
 
 
 def _ratios(d: Diagnosis) -> np.ndarray:
@@ -162,7 +171,7 @@ def _updated(path: Path, model: Model, tables: dict[str, Any], theta: np.ndarray
     return {**tables, "structure": {**tables["structure"], "file": name}}
 
 
-def _entries(d: Diagnosis) -> list[dict[str, Any]]:
+def _entries(d: Diagnosis, folder: Path) -> list[dict[str, Any]]:
     """[[mechanism]] entries: what the model held already, what was named, and the trim of the frequencies."""
     out: list[dict[str, Any]] = []
     fitted = d.detail["bayes"]
@@ -176,6 +185,9 @@ def _entries(d: Diagnosis) -> list[dict[str, Any]]:
             "place": place,
             "parameters": {p.name: {"value": float(v), "std": float(s), "unit": p.unit} for p, v, s in values},
         }
+        own = source_of(term.mechanism)
+        if own is not None:
+            entry["file"] = Path(os.path.relpath(own, folder.resolve())).as_posix()
         if term.variant:
             entry["variant"] = term.variant
         if term.data.get("extra_mode"):
@@ -184,9 +196,27 @@ def _entries(d: Diagnosis) -> list[dict[str, Any]]:
             entry["driven"] = [c.dof for c in train.inputs if c.role != "base"]
         out.append(entry)
         at += term.n
+    out += _nonlinear_entries(d)
     engine, made = d.detail["engine"], d.detail["final"]
     shift = np.zeros(int(engine.band_modes.max()) + 1)
     shift[engine.band_modes] = made.point.shift
     if np.any(np.abs(shift) > 1e-6):
         out.append({"id": "modal-trim", "shift": [float(f"{v:.5g}") for v in shift]})
     return out
+
+
+def _nonlinear_entries(d: Diagnosis) -> list[dict[str, Any]]:
+    """[[mechanism]] entries of the nonlinear laws that were named."""
+    found = d.detail.get("nonlinear")
+    return [
+        {
+            "id": n.term.mechanism.id,
+            "place": {k: v for k, v in n.place.as_dict().items() if v is not None},
+            "variant": n.term.variant,
+            "parameters": {
+                p.name: {"value": float(v), "std": float(s), "unit": p.unit}
+                for p, v, s in zip(n.term.parameters, n.value, n.std, strict=True)
+            },
+        }
+        for n in (found.named if found is not None else ())
+    ]

@@ -15,7 +15,6 @@ import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +86,7 @@ def parse_model(text: str, path: Path) -> Model:
         bands = check_bands([b.build() for b in table.band]) if table.band else ()
         places = _places(table, structure)
         if table.mechanism:
-            structure = _extended(structure, raw["mechanism"])
+            structure = _extended(structure, raw["mechanism"], path.parent)
     except InputError as error:
         said = str(error)
         raise type(error)(said if said.startswith(str(path.parent / "")) else f"{path}: {said}") from error
@@ -164,9 +163,9 @@ def _places(table: Common, structure: Structure) -> Places:
     return Places(p.nodes, p.elements, p.supports)
 
 
-def _extended(structure: Structure, entries: Sequence[Mapping[str, Any]]) -> Structure:
-    """The structure with the mechanisms of [[mechanism]] added."""
-    extend = getattr(import_module("labnnum.mechanisms"), "extend", None)
-    if extend is None:
-        raise ConfigError("mechanism: this version cannot add mechanisms to a model; leave [[mechanism]] out")
-    return extend(structure, entries)
+def _extended(structure: Structure, entries: Sequence[Mapping[str, Any]], folder: Path) -> Structure:
+    """The structure with the mechanisms of [[mechanism]] added; entries of users' own name their file."""
+    from labnnum.mechanisms import extend
+    from sessions.own_mechanisms import catalogue, sources
+
+    return extend(structure, entries, catalogue(sources(entries, folder)))

@@ -241,7 +241,7 @@ def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> 
     found = [_try(task, lead, before) for lead in fine]
     found += [_try(task, _faint(lead), before) for lead in fine[:5]]
     found += [_try(task, lead, before, 0) for lead in rough]
-    for lead in rough[:4]:
+    for lead in (x for x in rough[:4] if x.term.n in (2, 3)):  # one parameter needs no second start
         found += [_try(task, replace(lead, start=p), before, rung) for p in lead.others for rung in (0, 2)]
     if found:
         winner = min(found, key=lambda c: c.cost)

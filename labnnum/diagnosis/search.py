@@ -152,10 +152,10 @@ def grid_score(
 
 def _apart(starts: NDArray, order: NDArray, n: int = 3) -> list[int]:
     """The first `n` of `order` whose starts differ from each other by more than a factor of three in some parameter."""
+    size = np.log(np.maximum(np.abs(starts), 1e-300))
     kept: list[int] = []
     for i in order:
-        ratios = [np.abs(np.log(np.maximum(np.abs(starts[i]), 1e-300) / np.maximum(np.abs(starts[j]), 1e-300)))
-                  for j in kept]  # fmt: skip
+        ratios = [np.abs(size[i] - size[j]) for j in kept]
         if all(r.size and r.max() > np.log(3.1) for r in ratios):
             kept.append(int(i))
         if len(kept) == n:

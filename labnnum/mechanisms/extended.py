@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from labnnum.errors import ConfigError, ModelError
 from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Site, Term
 from labnnum.mechanisms.geometry import held_motions, touching
+from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel
 from labnnum.structures.base import Matrices, Structure
@@ -262,11 +263,14 @@ def site_of(
     return replace(site, elements=mesh, mesh=mesh)
 
 
-def extend(structure: Structure, entries: Sequence[Mapping[str, Any]]) -> Structure:
+def extend(
+    structure: Structure, entries: Sequence[Mapping[str, Any]], catalogue: Sequence[Mechanism] | None = None
+) -> Structure:
     """The structure with the mechanisms of a model file's [[mechanism]] entries.
 
     Each entry has `id`, `place` (kind, id, to), `variant` where the mechanism has several, and `parameters`, name ->
-    value or {value, std}. The id "modal-trim" holds `shift`, relative changes of the natural frequencies by mode.
+    value or {value, std}; ids are those of `catalogue`, by default labnnum's. The id "modal-trim" holds `shift`,
+    relative changes of the natural frequencies by mode.
 
     Raises
     ------
@@ -276,7 +280,7 @@ def extend(structure: Structure, entries: Sequence[Mapping[str, Any]]) -> Struct
     from labnnum.mechanisms import CATALOGUE
 
     trim: tuple[float, ...] = ()
-    known = {m.id: m for m in CATALOGUE}
+    known = {m.id: m for m in catalogue or CATALOGUE}
     added = []
     for entry in entries:
         name = str(entry.get("id", ""))
@@ -324,6 +328,8 @@ def _find(
         raise ConfigError(
             "mechanism 'drift' changes a structure in time and cannot be part of a linear model; leave it out"
         )
+    if isinstance(mechanism, NonlinearMechanism):
+        return mechanism.at(site_of(structure), place, variant)
     drive = (f"{place.id}:{variant}",) if mechanism.id == "exciter-coupling" else ()
     try:
         site = site_of(structure, drive=drive)

@@ -19,6 +19,10 @@ def diagnose(
         list[Path] | None, typer.Option("--held-out", help="Recordings that no fit may see; may be given again.")
     ] = None,
     channels: Annotated[Path | None, typer.Option(help="channels.toml, if the files are another program's.")] = None,
+    mechanism: Annotated[
+        list[Path] | None,
+        typer.Option(help="Python file with a mechanism of your own (it is run); may be given again."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print diagnosis.json and nothing else.")] = False,
 ) -> None:
     """Locate the mismatch between model and measurement, name what is missing, and show the fit improve.
@@ -54,7 +58,14 @@ def diagnose(
         return
     with console.status("reading") as status:
         content = diagnose_files(
-            recordings, model, out, held_out or (), channels, rig, progress=lambda text: status.update(text)
+            recordings,
+            model,
+            out,
+            held_out or (),
+            channels,
+            rig,
+            progress=lambda text: status.update(text),
+            mechanisms=mechanism or (),
         )
     if as_json:
         typer.echo(json.dumps(content))
