@@ -253,6 +253,14 @@ def test_a_tool_that_breaks_leaves_its_reason_and_is_asked_again(tmp_path, monke
     assert not score.answer_path(tmp_path, "case0001").is_file()
 
 
+def test_a_tool_that_writes_nothing_counts_as_one_that_says_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "load", lambda tool: lambda recordings, model, out: None)
+    order = run.Order("linear", 1, 12, tmp_path)
+    tickets, _ = run.start(order)
+    run.diagnose_all(order, tickets)
+    assert "no diagnosis.json" in (tmp_path / "answers" / "case0001" / "error.txt").read_text()
+
+
 def test_a_folder_of_another_suite_is_refused(tmp_path):
     run.start(run.Order("linear", 2, 1, tmp_path))
     with pytest.raises(ConfigError, match="another suite"):

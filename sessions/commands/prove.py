@@ -64,14 +64,14 @@ def prove(
     order = Order(suite, cases, seed, out, jobs, keep, tool)
     with console.status("drawing the suite"):
         tickets, sha256 = start(order)
-        tickets = _those(tickets, only)
+        asked = _those(tickets, only)
     console.print(f"sealed truth of {len(tickets)} cases: {out / 'truth.json'}\nSHA-256 {sha256}", highlight=False)
     if draw_only:
-        _draw_only(console, order, tickets)
+        _draw_only(console, order, asked)
         if as_json:
             _print_json({"cases": str(out / "cases"), "sha256": sha256})
         return
-    found = _run(console, order, tickets, sha256, score_only)
+    found = _run(console, order, tickets, () if score_only else asked, sha256)
     if as_json:
         _print_json(found)
     else:
@@ -164,13 +164,13 @@ def _draw_only(console: Console, order: Order, tickets: Any) -> None:
     console.print(f"cases are in {order.out / 'cases'}; put each answer in {order.out / 'answers'}/CASE/diagnosis.json")
 
 
-def _run(console: Console, order: Order, tickets: Any, sha256: str, score_only: bool) -> dict[str, Any]:
+def _run(console: Console, order: Order, tickets: Any, asked: Any, sha256: str) -> dict[str, Any]:
     from sessions.prove.run import diagnose_all, score_all
 
     with _progress(console) as progress:
         bars = _Bars(progress)
-        if not score_only:
-            diagnose_all(order, tickets, bars.step)
+        if asked:
+            diagnose_all(order, asked, bars.step)
         return score_all(order, tickets, sha256, bars.step)
 
 

@@ -108,6 +108,8 @@ def answer(ticket: Ticket, out: Path, keep: bool, tool: str) -> str:
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         load(tool)(recordings, folder / "model.toml", target)
+        if not score.answer_path(out, ticket.name).is_file():
+            failed.write_text("the tool wrote no diagnosis.json\n", encoding="utf-8")
     except LabnnumError as error:
         failed.write_text(f"{type(error).__name__}: {error}\n", encoding="utf-8")
     except Exception as error:
