@@ -32,6 +32,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("train", "sessions.commands.train:train"),
     ("update", "sessions.commands.update:update"),
     ("report", "sessions.commands.report:report"),
+    ("identify", "sessions.commands.identify:identify"),
     ("diagnose", "sessions.commands.diagnose:diagnose"),
     ("calibrate-diagnosis", "sessions.commands.calibrate_diagnosis:calibrate_diagnosis"),
     ("prove", "sessions.commands.prove:prove"),

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.errors import ConfigError
 from labnnum.mechanisms.base import TRANSLATIONS, Mechanism, Place, Site, Term
 from labnnum.mechanisms.local_dashpot import relative
 from labnnum.parameters import Parameter
@@ -34,7 +35,7 @@ class NonlinearMechanism(Mechanism):
                     yield from self._both(Place("ground", node), axis, column[:, 0])
         for a, b in site.elements:
             for axis in TRANSLATIONS:
-                column = relative(site, a, b, axis)
+                column = between(site, a, b, axis)
                 if column is not None:
                     yield from self._both(Place("joint", a, b), axis, column[:, 0])
 
@@ -53,8 +54,29 @@ class NonlinearMechanism(Mechanism):
         starts = np.zeros((0, len(parameters)))
         return Term(self, place, parameters, starts, variant=variant, data={"column": column})
 
+    def at(self, site: Site, place: Place, variant: str) -> Term:
+        """The law at a place of the structure of `site`; ConfigError if it has no such motion."""
+        axis = variant.lstrip("-")
+        sign = -1.0 if variant.startswith("-") else 1.0
+        if place.to is None:
+            found = site.rows(place.id, (axis,))
+            column = found if found.size else None
+        else:
+            column = between(site, place.id, place.to, axis)
+        if column is None:
+            raise ConfigError(f"mechanism {self.id!r} cannot act at {place} along {axis!r}: there is no such motion")
+        return self.term(place, variant, sign * column[:, 0])
+
     def sense(self, term: Term, p: NDArray) -> str | None:
         """Hardening or softening where the sign of the first parameter says so."""
         if self.positive:
             return None
         return "hardening" if p[0] > 0 else "softening"
+
+
+def between(site: Site, a: str, b: str, axis: str) -> NDArray[np.float64] | None:
+    """Column, shape (n, 1), of the motion of b less that of a, also where coordinates are modal."""
+    column = relative(site, a, b, axis)
+    if column is None and f"{a}:{axis}" in site.dofs and f"{b}:{axis}" in site.dofs:
+        column = (site.dofs[f"{b}:{axis}"] - site.dofs[f"{a}:{axis}"])[:, None]
+    return column

@@ -16,7 +16,7 @@ from labnnum.diagnosis.nonlinear.locate import Spot, spots
 from labnnum.diagnosis.nonlinear.problem import Joint, Made, choose_lines
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, refined, search
+from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, further, refined, search
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.verdict import Alternative, Limits, Named
@@ -61,6 +61,7 @@ class NonlinearAnswer:
     linearised_held_out: tuple[Observation, ...]
     curves: tuple[Curve, ...]
     study: Study
+    laws: tuple[Tried, ...]
     misfit: float
 
 
@@ -96,7 +97,26 @@ def answer(
     progress("comparing places and laws")
     tried = refined(found, scatter, _rivals(found, every, scatter))
     found = replace(found, tried=tuple(tried))
-    return _decide(found, train, test, scatter, limits)
+    laws = _chain(found, every, scatter, limits, progress)
+    return _decide(found, laws, train, test, scatter, limits)
+
+
+def _chain(
+    found: Study, every: Sequence[Spot], scatter: Scatter, limits: Limits, progress: Callable[[str], None]
+) -> list[Tried]:
+    """The best law, then one more at a time while it removes a good share of what is left; at last a general one."""
+    laws = [found.best]
+    while len(laws) < 3 and laws[-1].made.data_part > 1.3 * laws[-1].made.count:
+        progress(f"looking for nonlinear law {len(laws) + 1}")
+        more = further(found, laws[-1], every, scatter, limits.further)
+        if more is None:
+            break
+        laws.append(more)
+    if laws[-1].made.data_part > 2.0 * laws[-1].made.count:
+        rest = further(found, laws[-1], every, scatter, limits.further, general=True)
+        if rest is not None:
+            laws.append(rest)
+    return laws
 
 
 def _levels(train: Sequence[Observation], runs: list[Run], most: int = 4) -> tuple[list[Observation], list[Run]]:
@@ -118,25 +138,26 @@ def _rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried
 
 
 def _decide(
-    found: Study, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter, limits: Limits
-) -> NonlinearAnswer:
-    best, base = found.best, found.base
+    found: Study, laws: Sequence[Tried], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    limits: Limits,
+) -> NonlinearAnswer:  # fmt: skip
+    best, base, last = found.best, found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if not t.same(best)]
     lead = (min(t.cost for t in rivals) - best.cost) / excess if rivals else np.inf
     total = (base.objective - best.made.objective) / excess
-    misfit = best.made.data_part / best.made.count
+    misfit = last.made.data_part / last.made.count
     behind = (best.cost - found.general.cost) / excess if found.general is not None else -np.inf
     reason = ""
     if total < limits.alarm:
         reason = UNCONFIRMED
-    elif misfit > MISFIT and misfit > 0.02 * base.objective / base.count:
+    elif misfit > MISFIT and misfit > UNEXPLAINED * base.objective / base.count:
         reason = "what the best nonlinear law leaves is far more than noise"
     elif behind > max(limits.alarm, limits.behind * total):
         reason = "a general law of motion and speed explains far more than any named one"
     elif lead < limits.name:
         reason = "two nonlinear laws explain it equally well"
-    joint, made = _on(found, best, train, test, scatter)
+    joint, made = _on(found, last, train, test, scatter)
     x, orbits = made
     base_error = _errors(found, train, test, None, scatter)
     extended_error = _errors_of(joint, x, orbits, len(train))
@@ -146,7 +167,7 @@ def _decide(
         and extended_error[1] > 3 * _noise(test or train)
     ):
         reason = "the best nonlinear law does not improve the prediction of data held out"
-    named = () if reason else (_named(found, best, rivals),)
+    named = () if reason else _all_named(laws, best, rivals)
     place = best.spot.place
     if reason and found.general is not None and found.general.cost < best.cost:
         place = found.general.spot.place
@@ -155,22 +176,37 @@ def _decide(
     located = _located(found)
     return NonlinearAnswer(
         named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
-        tuple(linear[: len(train)]), tuple(linear[len(train) :]), _curves(found, best), found, misfit,
+        tuple(linear[: len(train)]), tuple(linear[len(train) :]), _curves(found, best), found, tuple(laws), misfit,
     )  # fmt: skip
 
 
 MISFIT = 3.0
-"""Chi-square per value above which nothing is called explained."""
+"""Chi-square per value above which nothing is called explained,"""
+UNEXPLAINED = 0.02
+"""unless it is less than this of what the base leaves."""
 
 
-def _named(found: Study, best: Tried, rivals: Sequence[Tried]) -> Named:
-    mechanism = MECHANISMS[best.mechanism]
-    term = mechanism.term(best.spot.place, best.spot.axis, best.spot.column)
-    value, std = best.made.law(0)
+def _all_named(laws: Sequence[Tried], best: Tried, rivals: Sequence[Tried]) -> tuple[Named, ...]:
+    """Every named law of the chain, its parameters from the last fit; a general one has no name."""
+    last = laws[-1].made
+    excess = max(1.0, last.data_part / last.count)
+    out = []
+    for i, t in enumerate(laws):
+        if t.mechanism not in MECHANISMS:
+            continue
+        mechanism = MECHANISMS[t.mechanism]
+        value, std = last.law(i)
+        n = len(mechanism.names)
+        term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
+        trust = _confidence(best, rivals) if i == 0 else 0.95
+        out.append(Named(term, value[:n], std[:n] * np.sqrt(excess), trust))
+    return tuple(out)
+
+
+def _confidence(best: Tried, rivals: Sequence[Tried]) -> float:
     excess = max(1.0, best.made.data_part / best.made.count)
     weights = np.exp(-np.clip([(t.cost - best.cost) / excess / 2 for t in rivals], 0, 700)) if rivals else np.zeros(0)
-    n = len(mechanism.names)
-    return Named(term, value[:n], std[:n] * np.sqrt(excess), float(1.0 / (1.0 + weights.sum())))
+    return float(1.0 / (1.0 + weights.sum()))
 
 
 def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple[Alternative, ...]:
@@ -212,7 +248,9 @@ def _on(
 ) -> tuple[Joint, tuple[NDArray, list[Any]]]:
     """The best law's steady states on training and held-out runs."""
     runs = [o.run for o in (*train, *test) if o.run is not None]
-    joint = Joint(found.engine, found.point, runs, best.made.terms, scatter, [choose_lines(r, 50) for r in runs])
+    joint = Joint(
+        found.engine, found.point, runs, best.made.terms, scatter, [choose_lines(r, 300, scatter.floor) for r in runs]
+    )
     start = [*best.made.orbits, *([None] * (len(runs) - len(best.made.orbits)))]
     return joint, (best.made.x, joint.settle(best.made.x, start, 12))
 
@@ -221,15 +259,23 @@ def _errors(
     found: Study, train: Sequence[Observation], test: Sequence[Observation], tried: Made | None, scatter: Scatter
 ) -> tuple[float, float]:
     runs = [o.run for o in (*train, *test) if o.run is not None]
-    joint = Joint(found.engine, found.point, runs, (), scatter, [choose_lines(r, 50) for r in runs])
+    joint = Joint(found.engine, found.point, runs, (), scatter, [choose_lines(r, 300, scatter.floor) for r in runs])
     return _errors_of(joint, found.base.x, [None] * len(runs), len(train))
 
 
 def _errors_of(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) -> tuple[float, float]:
+    """Relative RMS errors over training and held-out runs; sensors' ordinary errors are taken from the training."""
+    r, b = joint.parts(x, orbits)
+    cuts = np.cumsum([2 * lines.at.size for lines in joint.lines])
+    own = slice(0, cuts[n_train - 1])
+    gram = np.matmul(b[..., own], b[..., own].transpose(0, 2, 1)) + np.eye(b.shape[1])
+    size = np.linalg.solve(gram, np.matmul(b[..., own], r[:, own, None]))
+    left = r - np.matmul(b.transpose(0, 2, 1), size)[..., 0]
     each = []
-    for run, y in zip(joint.runs, joint.predict(x, orbits), strict=True):
-        at = run.inside
-        each.append(np.mean(np.sum(np.abs(run.y - y)[:, at] ** 2, axis=1) / np.sum(np.abs(run.y[:, at]) ** 2, axis=1)))
+    for run, lines, part in zip(joint.runs, joint.lines, np.split(left, cuts[:-1], axis=1), strict=True):
+        spread = np.tile(lines.sigma, 2) / np.sqrt(2.0)
+        power = np.sum(np.abs(run.y[:, lines.at]) ** 2, axis=1)
+        each.append(np.mean(np.sum((part * spread) ** 2, axis=1) / power))
     train, test = each[:n_train], each[n_train:] or each[:n_train]
     return float(np.sqrt(np.mean(train))), float(np.sqrt(np.mean(test)))
 

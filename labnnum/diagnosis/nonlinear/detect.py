@@ -25,12 +25,16 @@ class Signs:
     odd_sure: NDArray[np.bool_]
     even_sure: NDArray[np.bool_]
 
+    change: NDArray[np.float64]
+    """Relative change (n_out,) of the FRFs from the lowest to the highest level, noise taken out; NaN with one."""
+    change_sure: NDArray[np.bool_]
+
     @property
     def present(self) -> bool:
-        """Distortion in at least one run, in more channels than one where there are several."""
+        """Distortion or change with level, in more channels than one where there are several."""
         sure = self.odd_sure | self.even_sure
         need = min(2, sure.shape[1])
-        return bool((sure.sum(axis=1) >= need).any())
+        return bool((sure.sum(axis=1) >= need).any() or self.change_sure.sum() >= need)
 
 
 def _white(y: NDArray, block: int = 64) -> NDArray[np.float64]:
@@ -68,4 +72,24 @@ def signs(runs: Sequence[Run]) -> Signs:
             spread = np.sqrt(1.0 / n + 1.0 / (n * max(run.n_periods - 1, 1)))
             out[name][i] = ratio
             sure[name][i] = (ratio > 1 + SIGMAS * spread) & (ratio > EXCESS)
-    return Signs(out["odd"], out["even"], sure["odd"], sure["even"])
+    return Signs(out["odd"], out["even"], sure["odd"], sure["even"], *_change(runs))
+
+
+CHANGE = 0.05
+"""Change of an FRF with level, relative, below which it may be a drift or another shaker amplifier."""
+
+
+def _change(runs: Sequence[Run]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Change of the FRFs from the lowest to the highest level, and whether noise cannot explain it."""
+    low, high = min(runs, key=lambda r: r.level), max(runs, key=lambda r: r.level)
+    none = np.full(runs[0].y.shape[0], np.nan), np.zeros(runs[0].y.shape[0], bool)
+    if high.level < 1.3 * low.level or high.period != low.period:
+        return none
+    on = low.excited & high.excited
+    if np.count_nonzero(on) < 8 or not (np.isfinite(low.noise).all() and np.isfinite(high.noise).all()):
+        return none
+    a, b = low.y[:, on] / low.u[on], high.y[:, on] / high.u[on]
+    noise = low.noise[:, on] / np.abs(low.u[on]) ** 2 + high.noise[:, on] / np.abs(high.u[on]) ** 2
+    power, expected = np.sum(np.abs(a - b) ** 2, axis=1), np.sum(noise, axis=1)
+    size = np.sqrt(np.maximum(power - expected, 0) / np.sum(np.abs(a) ** 2, axis=1))
+    return size, (size > CHANGE) & (power > 3.0 * expected)

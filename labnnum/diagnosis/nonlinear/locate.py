@@ -320,7 +320,7 @@ def law_leads(background: Background, found: Recovered, mechanisms: Sequence[str
 def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
     """Every translation of every free node against the ground, and of one node against its neighbour."""
     from labnnum.mechanisms.base import TRANSLATIONS
-    from labnnum.mechanisms.local_dashpot import relative
+    from labnnum.mechanisms.nonlinear_law import between
 
     out = []
     for node in site.free_nodes:
@@ -334,7 +334,7 @@ def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
         if b in site.supports and not site.rows(b, TRANSLATIONS).size:
             continue
         for axis in TRANSLATIONS:
-            column = relative(site, a, b, axis)
+            column = between(site, a, b, axis)
             if column is not None and np.abs(column[:, 0] @ site.shape).max() > 0:
                 out.append(Spot(Place("joint", a, b), axis, column[:, 0]))
     return out

@@ -16,9 +16,17 @@ from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.mechanisms.base import ChannelMechanism
+from labnnum.structures.modal import ModalStructure
 
 if TYPE_CHECKING:
     from labnnum.diagnosis.gates import Gate
+
+
+OWN = Scatter(
+    frequency=0.01, damping=1.0, residue=0.2, shape=1e-4, gain=1e-5, phase=1e-5, complexity=1e-5, remainder=1e-3,
+    floor=3e-4,
+)  # fmt: skip
+"""Errors of a model that was identified with the sensors it is judged by."""
 
 
 def nonlinear_first(
@@ -33,6 +41,8 @@ def nonlinear_first(
     """
     from labnnum.diagnosis.diagnose import _kept_back, _nonlinear
 
+    if isinstance(engine.structure, ModalStructure):
+        scatter = OWN
     usable = gate.usable
     kept = set() if held_out or len(usable) < 2 else _kept_back(usable)
     train = [o for i, o in enumerate(usable) if i not in kept]

@@ -53,11 +53,11 @@ class Lines:
 EXACT = 30
 """Entries of the base model's vector up to which their tangents are marched."""
 
-FLOOR, FLOOR_DISTORTION = 0.004, 0.02
-"""Relative errors that nothing explains: of a response, and of the distortion around a line."""
+DISTORTION = 6.0
+"""Relative error of the distortion around a line, in units of the floor that the scatter gives to a response."""
 
 
-def choose_lines(run: Run, most: int = 0, floor: float = FLOOR) -> Lines:
+def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
     """Lines between the first and the last that is excited, `most` of them (0: all), with their deviation."""
     from scipy.ndimage import uniform_filter1d
 
@@ -74,7 +74,7 @@ def choose_lines(run: Run, most: int = 0, floor: float = FLOOR) -> Lines:
     if not np.isfinite(noise).all():
         noise = np.full(size.shape, 0.0) + (1e-3 * np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))) ** 2
     row = np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))
-    sigma = np.sqrt(noise + (floor * size) ** 2 + FLOOR_DISTORTION**2 * local + (0.02 * floor * row) ** 2)
+    sigma = np.sqrt(noise + (floor * size) ** 2 + (DISTORTION * floor) ** 2 * local + (0.02 * floor * row) ** 2)
     if most and inside.size > most:
         rng = np.random.default_rng(inside.size)
         on, off = inside[run.excited[inside]], inside[~run.excited[inside]]
@@ -328,10 +328,14 @@ def _reduced(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:
 
 def fit(
     joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], *, steps: int = 10, tolerance: float = 1e-3,
-    floor: float = 1.0, exact: bool = True,
+    floor: float = 1.0, exact: bool = True, always: bool = False,
 ) -> Made:  # fmt: skip
-    """Levenberg-Marquardt from `x`; ends when a step gains less than `tolerance` of the objective and `floor`."""
-    joint.exact = exact and joint.n_base <= EXACT
+    """Levenberg-Marquardt from `x`; ends when a step gains less than `tolerance` of the objective and `floor`.
+
+    `exact` slopes are marched where the base model's vector is short (`EXACT`), or `always`: standard deviations need
+    them.
+    """
+    joint.exact = exact and (joint.n_base <= EXACT or always)
     scale, low, high = joint.scale, joint.low, joint.high
     x = np.clip(x, low, high)
     orbits = joint.settle(x, orbits, 6)

@@ -85,9 +85,29 @@ def run_of(
         noise = uniform_filter1d(noise, min(25, max(noise.shape[1] // 8, 1)), axis=1, mode="nearest")
     else:
         noise = _beyond(y, on)
-    return Run(
+    made = Run(
         rate, period, u, y, noise, on, level, label, tuple(channels[i] for i in outputs), channels[inputs[0]],
         n_periods,
+    )  # fmt: skip
+    return resampled(made)
+
+
+ROOM = 2.8
+"""Samples to a period of the highest excited line that a run keeps."""
+
+
+def resampled(run: Run) -> Run:
+    """The run on fewer samples where it was sampled far faster than it was excited: lines far above are dropped."""
+    from scipy.fft import next_fast_len
+
+    least = int(np.ceil(ROOM * np.flatnonzero(run.excited)[-1] / 2))
+    n = 2 * next_fast_len(max(least, 32), real=True)
+    if n >= run.period:
+        return run
+    keep = slice(0, n // 2 + 1)
+    return Run(
+        run.rate * n / run.period, n, run.u[keep], run.y[:, keep], run.noise[:, keep], run.excited[keep], run.level,
+        run.label, run.outputs, run.input, run.n_periods,
     )  # fmt: skip
 
 

@@ -111,8 +111,8 @@ def search(
     held : sequence of Acting
         Laws that act already, with `held_x` the vector of their fit.
     """
-    chosen = [choose_lines(r, lines) for r in runs]
-    alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines)])
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
+    alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
     calm = fit(alone, alone.start(), [None], steps=15)
     plain = Joint(engine, point, runs, (), scatter, chosen)
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
@@ -164,11 +164,12 @@ def _fit_one(
 
 
 def _carry_on(
-    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, tried: Tried, steps: int
-) -> Tried:
+    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, tried: Tried, steps: int, *,
+    always: bool = False,
+) -> Tried:  # fmt: skip
     joint = Joint(engine, point, runs, tried.made.terms, scatter, chosen)
     try:
-        made = fit(joint, tried.made.x, tried.made.orbits, steps=steps)
+        made = fit(joint, tried.made.x, tried.made.orbits, steps=steps, always=always)
     except (EstimationError, np.linalg.LinAlgError):
         return tried
     return Tried(tried.lead, made, cost(made, tried.mechanism))
@@ -266,7 +267,7 @@ def at_places(
     study: Study, tried: Tried, spots: Sequence[Spot], scatter: Scatter, lines: int = 220, most: int = 4
 ) -> list[Tried]:
     """The winning law at its rivals' spots, each fitted: places that explain as well are named beside it."""
-    chosen = [choose_lines(r, lines) for r in study.runs]
+    chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
     p, _ = tried.made.law(0)
     full = np.zeros(N_P)
     full[: p.size] = p
@@ -292,11 +293,14 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
         if not any(t.same(o) for o in front):
             front.append(t)
     limit = everyone[0].cost * 3 + 1e3
-    chosen = [choose_lines(r, lines) for r in study.runs]
+    chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
     done = [
         _carry_on(study.engine, study.point, study.runs, scatter, chosen, t, 4) for t in front[:most] if t.cost < limit
     ]
     best = min(done, key=lambda t: t.cost)
+    sure = _carry_on(study.engine, study.point, study.runs, scatter, chosen, best, 2, always=True)
+    done = [sure if t is best else t for t in done]
+    best = sure
     ratio = best.made.count / everyone[0].made.count
     rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
     return sorted([*done, *rest], key=lambda t: t.cost)
@@ -323,7 +327,7 @@ def further(
         Its `made` holds the laws so far and the new one; None where none gains `alarm` and `GAIN` of the excess.
     """
     engine, point, runs = study.engine, study.point, study.runs
-    chosen = [choose_lines(r, lines) for r in runs]
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     held = first.made.terms
     joint = Joint(engine, point, runs, held, scatter, chosen)
     made = fit(joint, first.made.x, first.made.orbits, steps=4)

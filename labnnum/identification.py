@@ -1,0 +1,230 @@
+r"""Modal identification: a modal model from measured FRFs of one driven place.
+
+Poles come from a common-denominator model in the discrete frequency domain, fitted at growing orders; those that stay
+put from order to order are kept (the stabilisation diagram). Frequencies and damping ratios are then refined together
+with real residues, and with one mode below and one above the band that stand for all others, by least squares on the
+FRFs relative to their noise.
+
+References
+----------
+P. Guillaume, P. Verboven, S. Vanlanduit, "Frequency-domain maximum likelihood identification of modal parameters with
+confidence intervals", ISMA 23, 1998 (the LSCF estimator).
+P. Verboven, "Frequency-domain system identification for modal analysis", VUB, 2002, chapter 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.errors import EstimationError
+from labnnum.frf import MOTION_ORDER, Frf
+from labnnum.structures.modal import ModalStructure, Mode
+
+FREQUENCY_STAYS, DAMPING_STAYS = 0.01, 0.2
+"""Relative change from one order to the next up to which a pole counts as stable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stabilisation:
+    """Poles of every order: `order` (n,), `frequency` (n,) in Hz, `damping_ratio` (n,), `stable` (n,)."""
+
+    order: NDArray[np.int64]
+    frequency: NDArray[np.float64]
+    damping_ratio: NDArray[np.float64]
+    stable: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """A modal model and how well it fits.
+
+    `frequency` (n,) in Hz and `damping_ratio` (n,) of the modes in the band; `structure` holds these and the two that
+    stand for all others; `error` relative RMS over the responses; `fitted` (n_out, n_f) its FRFs.
+    """
+
+    frequency: NDArray[np.float64]
+    damping_ratio: NDArray[np.float64]
+    structure: ModalStructure
+    error: float
+    fitted: NDArray[np.complex128]
+    stabilisation: Stabilisation
+
+
+def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
+    """Modal model of FRFs with one input.
+
+    Parameters
+    ----------
+    frf : Frf
+        One input, at a place where a response is measured too; lines cut to the band of interest.
+    order : int
+        Highest order of the common denominator.
+    modes : int, optional
+        How many modes to keep; by default all that are stable over a quarter of the orders.
+
+    Raises
+    ------
+    EstimationError
+        If there are several inputs, no response at the driven place, or no stable pole.
+    """
+    if len(frf.inputs) != 1 or frf.inputs[0].role == "base":
+        raise EstimationError(f"identification needs FRFs with one force, not {len(frf.inputs)} inputs")
+    drive = frf.inputs[0].dof
+    dofs = [c.dof for c in frf.outputs]
+    if drive not in dofs:
+        raise EstimationError(f"no response is measured at the driven place {drive!r}, which scales the mode shapes")
+    h = receptance_of(frf)
+    weight = _weight(frf, h)
+    diagram = stabilisation(frf.omega, frf.value[:, 0], order)
+    poles = stable_poles(diagram, modes)
+    if not len(poles):
+        raise EstimationError("no pole is stable from order to order: raise the order or narrow the band")
+    poles, damping = _refined(frf.omega, h, weight, poles)
+    low, high = 0.35 * frf.omega[0], 3.0 * frf.omega[-1]
+    omega = np.concatenate([[low], 2 * np.pi * poles, [high]])
+    zeta = np.concatenate([[0.05], damping, [0.05]])
+    residue = _residues(frf.omega, h, weight, omega, zeta)
+    at = dofs.index(drive)
+    own = residue[:, at]
+    floor = 1e-6 * np.abs(own).max()
+    root = np.sqrt(np.maximum(own, floor))
+    keep = (own > 0) | (np.arange(omega.size) % (omega.size - 1) != 0)
+    built = tuple(
+        Mode(float(w / 2 / np.pi), float(z), {d: float(r / g) for d, r in zip(dofs, row, strict=True)})
+        for w, z, row, g, k in zip(omega, zeta, residue, root, keep, strict=True)
+        if k
+    )
+    basis = _basis(frf.omega, omega[keep], zeta[keep])
+    fitted = residue[keep].T @ basis
+    error = float(np.sqrt(np.mean(np.sum(np.abs(fitted - h) ** 2, axis=1) / np.sum(np.abs(h) ** 2, axis=1))))
+    return Identified(poles, damping, ModalStructure(built), error, fitted, diagram)
+
+
+def receptance_of(frf: Frf) -> NDArray[np.complex128]:
+    """Displacement per force along the axes of the places, (n_out, n_f)."""
+    s = 1j * frf.omega
+    rise = np.array([MOTION_ORDER[c.quantity] for c in frf.outputs])
+    sign = np.array([c.sign for c in frf.outputs]) * frf.inputs[0].sign
+    return frf.value[:, 0] * sign[:, None] / s ** rise[:, None]
+
+
+def _weight(frf: Frf, h: NDArray) -> NDArray[np.float64]:
+    """One over the standard deviation of the receptances, a hundredth of the response at least."""
+    size = np.abs(h)
+    relative = (
+        0.0 if frf.variance is None else np.sqrt(frf.variance[:, 0]) / np.maximum(np.abs(frf.value[:, 0]), 1e-300)
+    )
+    spread = np.sqrt(relative**2 + 0.01**2) * size + 0.02 * np.sqrt(np.mean(size**2, axis=1, keepdims=True)) * 0.2
+    return 1.0 / spread
+
+
+# -------------------------------------------------------------------- poles
+
+
+def stabilisation(omega: NDArray, value: NDArray, order: int) -> Stabilisation:
+    """Poles of common-denominator models of even orders up to `order`, and which repeat from order to order."""
+    rows: list[tuple[int, float, float, bool]] = []
+    before: list[tuple[float, float]] = []
+    for n in range(4, order + 1, 2):
+        found = lscf(omega, value, n)
+        here = []
+        for f, z in found:
+            near = [(g, y) for g, y in before if abs(f - g) < FREQUENCY_STAYS * f]
+            stays = any(abs(z - y) < DAMPING_STAYS * max(z, 1e-4) for _, y in near)
+            rows.append((n, f, z, bool(stays)))
+            here.append((f, z))
+        before = here
+    if not rows:
+        empty = np.zeros(0)
+        return Stabilisation(empty.astype(int), empty, empty, empty.astype(bool))
+    n, f, z, s = zip(*rows, strict=True)
+    return Stabilisation(np.array(n), np.array(f), np.array(z), np.array(s, bool))
+
+
+def lscf(omega: NDArray, value: NDArray, order: int) -> list[tuple[float, float]]:
+    """Frequency (Hz) and damping ratio of the decaying poles of one order, by least squares in the z-domain.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (n_f,)
+    value : ndarray, shape (n_out, n_f)
+    """
+    span = omega[-1] - omega[0]
+    step = np.pi / span * 0.95
+    z = np.exp(-1j * np.outer(np.arange(order + 1), (omega - omega[0]) * step))
+    total = np.zeros((order + 1, order + 1))
+    for row in value:
+        w = 1.0 / (np.abs(row) + 0.05 * np.sqrt(np.mean(np.abs(row) ** 2)))
+        x, y = z * w, -z * (w * row)
+        r, s, t = np.real(x.conj() @ x.T), np.real(x.conj() @ y.T), np.real(y.conj() @ y.T)
+        total += t - s.T @ np.linalg.solve(r + 1e-10 * np.trace(r) / len(r) * np.eye(len(r)), s)
+    inner = np.linalg.lstsq(total[:-1, :-1], -total[:-1, -1], rcond=1e-12)[0]
+    roots = np.roots(np.append(inner, 1.0)[::-1])
+    roots = roots[np.abs(roots) > 0]
+    s = -np.log(roots) / step
+    poles = s.real + 1j * (s.imag + omega[0])
+    out = []
+    for p in poles:
+        inside = omega[0] < p.imag < omega[-1]
+        if p.real < 0 and inside and -p.real < 0.3 * abs(p):
+            out.append((float(abs(p) / 2 / np.pi), float(-p.real / abs(p))))
+    return sorted(out)
+
+
+def stable_poles(diagram: Stabilisation, modes: int | None = None) -> NDArray[np.float64]:
+    """(n, 2) frequency and damping ratio of the poles that repeat, the medians of their columns of the diagram."""
+    pick = np.flatnonzero(diagram.stable)
+    if not pick.size:
+        return np.zeros((0, 2))
+    order = pick[np.argsort(diagram.frequency[pick])]
+    f = diagram.frequency[order]
+    groups = np.split(order, np.flatnonzero(np.diff(f) > 1.5 * FREQUENCY_STAYS * f[:-1]) + 1)
+    half = 0.25 * np.unique(diagram.order).size
+    groups = [g for g in groups if g.size >= half] or [max(groups, key=len)]
+    if modes is not None:
+        groups = sorted(groups, key=len)[-modes:]
+    out = [(np.median(diagram.frequency[g]), np.median(diagram.damping_ratio[g])) for g in groups]
+    return np.array(sorted(out))
+
+
+# -------------------------------------------------------------------- residues
+
+
+def _basis(omega: NDArray, mode: NDArray, zeta: NDArray) -> NDArray[np.complex128]:
+    return 1.0 / (mode[:, None] ** 2 + 2j * (zeta * mode)[:, None] * omega - omega**2)
+
+
+def _residues(omega: NDArray, h: NDArray, weight: NDArray, mode: NDArray, zeta: NDArray) -> NDArray[np.float64]:
+    """Real residues (n_modes, n_out) by weighted least squares, row by row."""
+    basis = _basis(omega, mode, zeta)
+    out = []
+    for row, w in zip(h, weight, strict=True):
+        a = (basis * w).T
+        a = np.concatenate([a.real, a.imag])
+        scale = np.linalg.norm(a, axis=0)
+        b = np.concatenate([(row * w).real, (row * w).imag])
+        out.append(np.linalg.lstsq(a / scale, b, rcond=None)[0] / scale)
+    return np.array(out).T
+
+
+def _refined(
+    omega: NDArray, h: NDArray, weight: NDArray, poles: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Frequencies and damping ratios that fit best when the residues follow (variable projection)."""
+    from scipy.optimize import least_squares
+
+    n = len(poles)
+    low, high = 0.35 * omega[0], 3.0 * omega[-1]
+
+    def left(x: NDArray) -> NDArray:
+        mode = np.concatenate([[low], 2 * np.pi * poles[:, 0] * np.exp(x[:n]), [high]])
+        zeta = np.concatenate([[0.05], poles[:, 1] * np.exp(x[n:]), [0.05]])
+        r = (h - _residues(omega, h, weight, mode, zeta).T @ _basis(omega, mode, zeta)) * weight
+        return np.concatenate([r.real.ravel(), r.imag.ravel()])
+
+    reach = np.concatenate([np.full(n, 0.02), np.full(n, 2.0)])
+    found = least_squares(left, np.zeros(2 * n), bounds=(-reach, reach), x_scale=reach, max_nfev=60).x
+    return poles[:, 0] * np.exp(found[:n]), poles[:, 1] * np.exp(found[n:])

@@ -1,0 +1,41 @@
+"""labnnum identify: a base model from the recordings themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def identify(
+    recordings: Annotated[list[Path], typer.Argument(help="Sessions (.h5) or files of another program.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="model.toml to write.")] = Path("model.toml"),
+    channels: Annotated[Path | None, typer.Option(help="channels.toml, if the files are another program's.")] = None,
+    low: Annotated[float | None, typer.Option(help="Lower end of the band, Hz.")] = None,
+    high: Annotated[float | None, typer.Option(help="Upper end of the band, Hz.")] = None,
+    order: Annotated[int, typer.Option(help="Highest order of the stabilisation diagram.", min=4)] = 40,
+    modes: Annotated[int | None, typer.Option(help="How many modes to keep.", min=1)] = None,
+    only: Annotated[str, typer.Option(help="Take recordings whose label contains this.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+) -> None:
+    """Identify modes in the recording of the lowest level and write them as a model of kind "modal".
+
+    The sensors are its nodes, so that a diagnosis may look for physics at each and between each two. One force must
+    drive a place where a response is measured.
+
+    For example:
+
+        labnnum identify low.h5 middle.h5 high.h5 --low 2 --high 15 -o base.toml
+    """
+    import json
+
+    from sessions.identify import identify_files
+
+    said = identify_files(recordings, out, channels, low, high, order, modes, only)
+    if as_json:
+        typer.echo(json.dumps(said))
+        return
+    typer.echo(f"{said['model']}: {len(said['modes'])} modes of {said['recording']}, error {100 * said['error']:.2g} %")
+    for m in said["modes"]:
+        typer.echo(f"{m['frequency']:12.4f} Hz {100 * m['damping_ratio']:8.3f} %")

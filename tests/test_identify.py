@@ -1,0 +1,104 @@
+"""Modal identification: exact on modes, robust to noise, and as a command."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from labnnum.errors import EstimationError
+from labnnum.frf import Frf
+from labnnum.identification import identify, lscf, receptance_of
+from labnnum.recording import Channel
+from labnnum.response import frf as model_frf
+from labnnum.structures import Chain
+from labnnum.structures.chain import Link
+from labnnum.structures.quantities import Damping
+from sessions.cli import app
+from sessions.model import read_model
+
+OUTPUTS = tuple(Channel(f"a{i}", "acceleration", "response", str(i), "x") for i in (1, 2, 3))
+FORCE = (Channel("f", "force", "reference", "1", "x"),)
+LINES = np.linspace(2.0, 12.0, 400)
+
+
+def chain():
+    links = (Link("1", "ground", 2000.0), Link("1", "2", 1500.0), Link("2", "3", 1800.0), Link("3", "ground", 900.0))
+    return Chain({"1": 1.0, "2": 1.2, "3": 0.9}, links, damping=Damping("modal", ratio=(0.01, 0.015, 0.02)))
+
+
+def measured(noise=0.0, seed=0):
+    structure = chain()
+    value = model_frf(structure, structure.nominal, LINES, OUTPUTS, FORCE)
+    rng = np.random.default_rng(seed)
+    size = np.abs(value)
+    error = (rng.standard_normal(value.shape) + 1j * rng.standard_normal(value.shape)) / np.sqrt(2)
+    variance = (noise * size) ** 2 + 1e-18
+    return Frf(LINES, value + noise * size * error, OUTPUTS, FORCE, variance=variance)
+
+
+def exact():
+    from labnnum.response import modes
+
+    found = modes(chain(), chain().nominal)
+    return found.frequency, found.damping_ratio
+
+
+def test_clean_frfs_give_the_modes_exactly():
+    found = identify(measured(), 24)
+    frequency, damping = exact()
+    np.testing.assert_allclose(found.frequency, frequency, rtol=1e-5)
+    np.testing.assert_allclose(found.damping_ratio, damping, rtol=1e-3)
+    assert found.error < 1e-3
+
+
+def test_the_model_answers_like_the_measured_one_between_all_its_places():
+    found = identify(measured(), 24)
+    at = Channel("f3", "force", "reference", "3", "x")
+    truth = model_frf(chain(), chain().nominal, LINES, OUTPUTS, (at,))
+    made = model_frf(found.structure, found.structure.nominal, LINES, OUTPUTS, (at,))
+    assert np.linalg.norm(made - truth) < 0.01 * np.linalg.norm(truth)
+
+
+def test_noise_of_two_percent_leaves_the_frequencies():
+    frequency, damping = exact()
+    for seed in range(3):
+        found = identify(measured(0.02, seed), 30)
+        assert found.frequency.size == 3
+        np.testing.assert_allclose(found.frequency, frequency, rtol=1e-3)
+        np.testing.assert_allclose(found.damping_ratio, damping, rtol=0.05)
+
+
+def test_lscf_of_a_low_order_comes_near_the_poles():
+    value = receptance_of(measured())
+    poles = np.array(lscf(2 * np.pi * LINES, value, 12))
+    for f in exact()[0]:
+        assert np.min(np.abs(poles[:, 0] - f)) < 5e-3 * f
+
+
+def test_a_drive_point_is_asked_for():
+    frf = measured()
+    other = Frf(LINES, frf.value, OUTPUTS, (Channel("f", "force", "reference", "9", "x"),), variance=frf.variance)
+    with pytest.raises(EstimationError, match="9:x"):
+        identify(other)
+
+
+def test_the_command_writes_a_model(tmp_path):
+    frf = measured()
+    arrays = {"f": LINES, "H": frf.value[:, 0]}
+    np.savez(tmp_path / "h.npz", **arrays)
+    channels = ["[frf]", 'frequency = "f"', 'value = "H"']
+    for c, role in [*((c, "response") for c in OUTPUTS), (FORCE[0], "reference")]:
+        quantity, unit = (c.quantity, c.unit)
+        channels += ["[[channel]]", f'name = "{c.name}"', f'quantity = "{quantity}"', f'unit = "{unit}"']
+        channels += [f'role = "{role}"', f'node = "{c.node}"', 'direction = "x"']
+    (tmp_path / "channels.toml").write_text("\n".join(channels))
+    out = tmp_path / "base.toml"
+    given = [str(tmp_path / "h.npz"), "--channels", str(tmp_path / "channels.toml"), "-o", str(out), "--json"]
+    result = CliRunner().invoke(app, ["identify", *given])
+    assert result.exit_code == 0, result.output
+    said = json.loads(result.stdout)
+    np.testing.assert_allclose([m["frequency"] for m in said["modes"]], exact()[0], rtol=1e-3)
+    model = read_model(out)
+    assert set(model.structure.dofs) == {"1:x", "2:x", "3:x"}
+    assert ("1", "3") in [tuple(p) for p in model.places.elements]
