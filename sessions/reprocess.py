@@ -235,10 +235,15 @@ def reprocess(
         mine = [known[n] for n in used]
         frf = without_inputs(estimate(batch, settings, played_lines(mine)), mine)
         said = {k: v for k, v in asdict(chosen(batch, settings)).items() if v is not None}
-        told = {"runs": used, "requested": said, **_level(batch), **_left_out(batch, settings)}
+        told = {"runs": used, "requested": said, "basis": _basis(mine), **_level(batch), **_left_out(batch, settings)}
         out.append((session.add_frf(frf, told, name=_title(used, batch)), frf))
         progress(i + 1, len(batches))
     return out
+
+
+def _basis(runs: Sequence[Run]) -> dict[str, list[int]]:
+    """Number of each run -> its hits that are accepted at this moment: what the FRF rests on."""
+    return {str(run.index): [hit.index for hit in run.hits if hit.accepted] for run in runs if run.hits}
 
 
 def _left_out(batch: Sequence[Recording], settings: FrfSettings) -> dict[str, float]:

@@ -144,6 +144,7 @@ def test_only_accepted_hits_enter(session):
     ((_, all_three),) = reprocess(session, FrfSettings())
     assert all_three.n_averages == 3
     assert all_three.coherence[0].mean() < 0.95
+    assert [f.settings["basis"] for f in session.frfs()] == [{"1": [0, 2]}, {"1": [0, 1, 2]}]  # back to the hit
 
 
 def test_overloaded_stretches_are_left_out(session):
