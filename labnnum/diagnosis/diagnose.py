@@ -263,6 +263,7 @@ def _decide(
     measured = all(o.kind != "frf" for o in observations)
     plain_base = trimmed(engine, lines, base.fit, scatter)
     base_error = _errors(engine, plain_base, train, test)
+    selection = _alarmed(selection, limits, data, base_error[1])
     selection, plain_final, extended_error = _worthwhile(
         engine,
         lines,
@@ -312,6 +313,16 @@ def _decide(
         np.exp(source.fit.point.log_zeta), detail,
     )  # fmt: skip
     return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
+
+
+def _alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
+    """The selection without its chain where the first gain is too small for how well the base predicts already."""
+    if len(selection.chain) < 2:
+        return selection
+    base, first = selection.chain[:2]
+    gain = (base.cost - first.cost) / max(dispersion(first.fit, data), 1.0)
+    enough = limits.alarm * max(1.0, limits.plain / max(error, 1e-9))
+    return selection if gain >= enough else replace(selection, chain=(base,))
 
 
 def _worthwhile(
@@ -365,7 +376,7 @@ def _verdict(
     lead = _lead(stage, best) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
-        behind = (best.fit.objective - law.fit.objective) / excess
+        behind = (best.fit.objective - law.fit.objective) / max(excess, 1.0)
         if behind > max(limits.alarm, limits.behind * total):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
     left = final.fit.objective / (2 * data.value.size)

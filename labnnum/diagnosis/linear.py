@@ -195,13 +195,10 @@ def select(
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.fit.objective)
         best = _simplest(found, limits)
-        excess = dispersion(best.fit, data)
+        excess = max(dispersion(best.fit, data), 1.0)
         gain = (chain[-1].cost - best.cost) / excess
-        total = (chain[0].cost - best.cost) / excess
         if gain < (limits.alarm if stage == 0 else limits.further):
             break
-        if stage and gain < limits.share * total and gain < 0.5 * chain[-1].cost / excess:
-            break  # a ripple of the first, or of the mesh, and not a mechanism of its own
         chain.append(best)
     return Selection(tuple(chain), tuple(stages), law, gains)
 
@@ -246,6 +243,7 @@ def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> 
     if found:
         winner = min(found, key=lambda c: c.cost)
         done = {id(c.last) for c in found if c.cost < before.cost}
+        found += _otherwise(task, terms, before, winner)
         found += _elsewhere(task, terms, before, winner, done)
         second = min(found, key=lambda c: c.cost)
         found += _again(task, terms, before, second, done)
@@ -279,6 +277,19 @@ def _faint(lead: Lead) -> Lead:
     start = lead.start.copy()
     start[0] = same_way[np.argmin(np.abs(same_way[:, 0])), 0]
     return Lead(lead.term, start, lead.gain)
+
+
+def _otherwise(task: Task, terms: Sequence[Term], before: Candidate, winner: Candidate, n: int = 4) -> list[Candidate]:
+    """The winner's mechanism in its other variants at the same place, such as both compliances of a clamp at once."""
+    last = winner.last
+    kin = [t for t in terms if t.mechanism.id == last.mechanism.id and t.place == last.place and t is not last]
+    if not kin:
+        return []
+    nominal = _afresh(task.engine, before).vector()
+    leads = grid_score(task.engine, task.ladder[0], task.scatter, kin, nominal, before.terms)
+    best = sorted(leads, key=lambda lead: -lead.gain)[:n]
+    starts = [replace(lead, start=p) for lead in best for p in (lead.start, *lead.others)]
+    return [_try(task, lead, before, rung) for lead in starts for rung in ((0, 2) if lead.term.n > 1 else (0,))]
 
 
 def _elsewhere(

@@ -15,24 +15,29 @@ from labnnum.mechanisms.base import Place, Term
 class Limits:
     """Thresholds on gains of the objective (chi-squares); set on nulls, see `docs/diagnosis.md`.
 
-    `alarm`: gain of the best term above which a sound structure is doubted. `name`: lead of the best name over the
-    best of another name or place. `further`: gain of a second or third mechanism, and `share` the least part of the
-    total gain that it must make. `parameter`: price of one more parameter. `behind`: how far a named term may stay
-    behind the general local law, as a share of the total gain. `misfit`: objective per value above which nothing is
-    called explained. `improve`: part of the base's held-out error that the extended model must fall below for a name;
-    `improve_further`: the same for each further mechanism after the one before; `doubt`: for "unexplained".
-    `remains`: part of the base's objective that is no misfit, however far it stands above the noise.
+    alarm: gain of the best term above which a sound structure is doubted.
+    plain: where the base's held-out error is below it, the alarm rises by the same factor, since what sound models
+        lack is then a larger part of it.
+    name: lead of the best name over the best at another place.
+    further: gain of a second or third mechanism.
+    parameter: price of one more parameter.
+    behind: how far a named term may stay behind the general local law, as a share of the total gain.
+    misfit: objective per value above which nothing is called explained.
+    improve: part of the base's held-out error that the extended model must fall below for a name.
+    improve_further: the same for each further mechanism after the one before.
+    doubt: the same for "unexplained".
+    remains: part of the base's objective that is no misfit, however far it stands above the noise.
     """
 
     alarm: float = 40.0
+    plain: float = 0.1
     name: float = 8.0
     further: float = 40.0
-    share: float = 0.02
     parameter: float = 4.0
     behind: float = 0.05
     misfit: float = 1.5
     improve: float = 0.6
-    improve_further: float = 0.9
+    improve_further: float = 0.8
     doubt: float = 0.75
     remains: float = 0.002
 
