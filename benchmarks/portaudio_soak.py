@@ -64,24 +64,26 @@ def play(environment: dict[str, str], rate: int, latency: float, pipe) -> None:
 
 
 def verify(path: Path) -> dict[str, int]:
-    """Read the session back: frames, those before the count began, wrong ones, and gaps that no block owns up to."""
+    """Read the session back: frames, silent ones, wrong ones, and gaps that no block owns up to.
+
+    No frame of the count is silent on all channels: silence is what the sound server plays before it begins and where
+    the player ran dry.
+    """
     with open_session(path) as session:
         run = session.runs[0]
-        told = {"frames": run.n_samples, "lead_in": 0, "wrong": 0, "gaps": 0, "unexplained_gaps": 0}
+        told = {"frames": run.n_samples, "silent": 0, "wrong": 0, "gaps": 0, "unexplained_gaps": 0}
         told["lost"] = int(run.blocks["lost"].sum())
         expected, broken_before = None, False
         for row in run.blocks:
             at, n = int(row["at"]), int(row["frames"])
             data = np.round(run.raw(at, at + n) * BASE).astype(np.int64)
             number = data[0] + BASE * data[1]
-            begin = 0
-            if expected is None:
-                silent = int(np.argmax(number > 0)) if number.any() else n
-                told["lead_in"] += silent
-                begin = silent
-            if begin == n:
+            heard = data.any(axis=0)
+            told["silent"] += int(np.count_nonzero(~heard))
+            if not heard.any():
+                broken_before |= bool(row["overflow"]) or bool(row["lost"])
                 continue
-            number, data = number[begin:], data[:, begin:]
+            number, data = number[heard], data[:, heard]
             steps = np.flatnonzero(np.diff(number) != 1)
             told["wrong"] += int(np.count_nonzero(data != np.round(frames_of(number) * BASE)))
             told["unexplained_gaps"] += steps.size

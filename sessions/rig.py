@@ -55,7 +55,7 @@ class DeviceTable(Table):
     run: Count = 1
     speed: Positive | None = None
     real_time: bool = False
-    buffer: Positive = 2.0
+    buffer: Positive = 10.0
     latency: Positive | Literal["low", "high"] = "high"
     channels: Annotated[int, Field(ge=0)] = 0
 
