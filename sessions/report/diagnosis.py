@@ -19,6 +19,7 @@ from labnnum.diagnosis.verdict import Named
 from labnnum.mechanisms.base import Place, Term
 from sessions.model import Model
 from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, svg
+from sessions.report.nonlinear import nonlinear_section
 from sessions.report.numbers import percent, with_error
 from sessions.report.page import _template
 from sessions.report.sections import Section, figure, notes, table
@@ -38,7 +39,14 @@ TITLES = {
 
 def write_page(path: Path, model: Model, d: Diagnosis) -> Path:
     """The page at `path`."""
-    made = [answer_section(d), drawing_section(d), fit_section(d), stiffness_section(d), rivals_section(d)]
+    made = [
+        answer_section(d),
+        drawing_section(d),
+        fit_section(d),
+        nonlinear_section(d),
+        stiffness_section(d),
+        rivals_section(d),
+    ]
     made += [parameters_section(model, d), next_section(d)]
     facts = [
         (percent(d.base_error[1]), "held-out error before"),
