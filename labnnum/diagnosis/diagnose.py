@@ -84,7 +84,8 @@ def diagnose(
     inner, initial = _taken_apart(structure, train)
     engine = Engine(inner, train.outputs, train.inputs, band)
     where = places_of(engine, places)
-    if nonlinear and not initial:
+    moving = drifted(engine, gate.usable)
+    if nonlinear and not initial and moving is None:  # a change within the run stands on quiet lines as well
         from labnnum.diagnosis.nonlinear.merge import nonlinear_first
 
         again = partial(
@@ -101,7 +102,6 @@ def diagnose(
         engine, train, terms, general, scatter, limits, measured_noise=measured, initial=initial, progress=progress
     )
     progress("weighing the answer")
-    moving = drifted(engine, gate.usable)
     gated = (*gate.named, *((moving,) if moving else ()))
     return _decide(engine, train, test, selection, scatter, limits, observations, general, gated)
 

@@ -137,6 +137,13 @@ class Problem:
             ]
         )
 
+    def scale(self, hessian: NDArray) -> NDArray[np.float64]:
+        """Root of the diagonal; infinite, so that no step is made, where the data do not feel the whole range."""
+        own = np.diag(hessian)
+        with np.errstate(over="ignore", invalid="ignore"):
+            felt = own * self.reach**2 > 1e-10
+        return np.where(felt, np.sqrt(np.where(felt, own, 1.0)), np.inf)
+
     def clip(self, x: NDArray) -> NDArray:
         """Inside the bounds."""
         return np.minimum(np.maximum(x, self.low), self.high)
@@ -305,7 +312,7 @@ def _step(problem: Problem, here: _Normal, x: NDArray, damping: float) -> NDArra
     at_low = (x <= problem.low) & (here.gradient < 0)
     at_high = (x >= problem.high) & (here.gradient > 0)
     free = ~(at_low | at_high)
-    d = np.sqrt(np.maximum(np.diag(here.hessian), 1e-300))
+    d = problem.scale(here.hessian)
     scaled = here.hessian / np.outer(d, d)
     scaled = scaled + damping * np.eye(d.size)
     step = np.zeros_like(x)
@@ -315,7 +322,10 @@ def _step(problem: Problem, here: _Normal, x: NDArray, damping: float) -> NDArra
 
 
 def _covariance(hessian: NDArray, problem: Problem, x: NDArray) -> tuple[NDArray, float]:
-    d = np.sqrt(np.maximum(np.diag(hessian), 1e-60))
+    weak = 1.0 / np.clip(problem.reach, 1e-100, 1e30) ** 2  # of what the data do not tell, its range tells
+    hessian = hessian.copy()
+    np.fill_diagonal(hessian, np.maximum(np.diag(hessian), weak))
+    d = np.sqrt(np.diag(hessian))
     scaled = hessian / np.outer(d, d)
     value, vector = np.linalg.eigh(scaled)
     value = np.maximum(value, 1e-12)

@@ -45,7 +45,7 @@ class Profile:
         self.j = j - np.matmul(self.u, np.matmul(self.u.transpose(0, 2, 1), j))
         prior = 1.0 / self.problem.std**2
         a = np.matmul(j.transpose(0, 2, 1), self.j).sum(0) + np.diag(prior)
-        scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
+        scale = self.problem.scale(a)
         self.scale = scale
         self.a_inverse = np.linalg.inv(a / np.outer(scale, scale) + 1e-12 * np.eye(scale.size))
         self.pull = -prior * (x - self.problem.mean)
