@@ -163,6 +163,8 @@ class Problem:
             new = e.state(there.theta, [(w, there.terms[c]) for w, c in self._whole])
         except LabnnumError:
             return ahead
+        if min(old.omega[b].min(), new.omega[b].min()) <= 0:  # buckled: there is no peak to keep
+            return ahead
         moved = [there.theta - here.theta, *(there.terms[c] - here.terms[c] for _, c in self._whole)]
         meant = np.log(old.omega[b]) + np.concatenate(moved) @ old.d_log[:, b]
         meant += np.log1p(here.shift) + (there.shift - here.shift) / (1 + here.shift)
@@ -241,7 +243,11 @@ class Problem:
         gram = np.matmul(b.transpose(0, 2, 1), b) + np.eye(b.shape[2])
         br = np.einsum("rfn,rf->rn", b, r, optimize=True)
         inner = np.linalg.solve(gram, br[..., None])[..., 0]
-        return float(np.sum(r * r) - np.sum(br * inner)), gram, inner
+        whole = float(np.sum(r * r))
+        left = whole - float(np.sum(br * inner))
+        if left < 1e-9 * whole:  # a response so large that its own ordinary errors would explain anything
+            left = whole
+        return left, gram, inner
 
     def normal(self, x: NDArray) -> _Normal:
         """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
