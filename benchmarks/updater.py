@@ -148,7 +148,9 @@ def _perceptron(z, y, shift, scale):
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        made = MLPRegressor((64, 64), solver="lbfgs", max_iter=3000, alpha=1e-7, random_state=0).fit(z, y)
+        made = MLPRegressor(hidden_layer_sizes=(64, 64), solver="lbfgs", max_iter=3000, alpha=1e-7, random_state=0).fit(
+            z, y
+        )
     return _unscaled(made.predict, shift, scale)
 
 

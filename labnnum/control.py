@@ -95,7 +95,7 @@ def lqr(system: StateSpace, Q: ArrayLike, R: ArrayLike) -> NDArray[np.float64]:
     """
     r = np.atleast_2d(np.asarray(R, float))
     p = _riccati(system.A, system.B, np.asarray(Q, float), r)
-    return np.linalg.solve(r, system.B.T @ p)
+    return np.asarray(np.linalg.solve(r, system.B.T @ p), np.float64)
 
 
 def kalman(system: StateSpace, W: ArrayLike, V: ArrayLike) -> NDArray[np.float64]:
@@ -115,7 +115,7 @@ def kalman(system: StateSpace, W: ArrayLike, V: ArrayLike) -> NDArray[np.float64
     v = np.atleast_2d(np.asarray(V, float))
     w = np.atleast_2d(np.asarray(W, float))
     p = _riccati(system.A.T, system.C.T, system.G @ w @ system.G.T, v)
-    return np.linalg.solve(v, system.C @ p).T
+    return np.asarray(np.linalg.solve(v, system.C @ p), np.float64).T
 
 
 def state_feedback(plant: StateSpace, K: NDArray) -> NDArray[np.float64]:

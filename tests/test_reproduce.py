@@ -114,4 +114,4 @@ def test_words_that_mean_nothing_are_refused():
     with pytest.raises(ConfigError, match="no example 'bus'; there are truck-1"):
         chosen("bus")
     with pytest.raises(ConfigError, match="--cases"):
-        CliRunner().invoke(app, ["reproduce", "truck-1", "--cases", "0"], catch_exceptions=False)
+        CliRunner().invoke(app, ["reproduce", "truck-1", "--cases", "-3"], catch_exceptions=False)

@@ -12,12 +12,20 @@ def reproduce(
     example: Annotated[
         str,
         typer.Argument(
-            help='truck, kabe, yang, duffing, beam, frame, or one case such as "truck-5-1frf"; all where absent.',
+            help='truck, kabe, yang, duffing, beam, frame, or one case such as "truck-5-1frf"; control, drift or flags;'
+            " every case where absent.",
             show_default=False,
         ),
     ] = "",
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for tables and figures.")] = Path("reproduced"),
-    cases: Annotated[int, typer.Option(help="Verification sets of each case; fewer for a quick look.")] = 5000,
+    cases: Annotated[
+        int,
+        typer.Option(
+            help="Verification sets of each case; fewer for a quick look. By default 5000; 90 blocks of"
+            " drift, 200 measurements of each kind for flags.",
+            show_default=False,
+        ),
+    ] = 0,
     noise: Annotated[
         list[float] | None, typer.Option(help="Noise on the FRF as a share of |H|; repeat. By default 0, 0.01, 0.03.")
     ] = None,
@@ -33,6 +41,9 @@ def reproduce(
     least squares, and of the Cramer-Rao bound, without noise and with noise on the FRF. Tables, figures and one page a
     case go to a folder. Stop it with Ctrl-C and run it again: it goes on where it stopped.
 
+    Besides, control compares gains of an optimal regulator on the truck, drift follows a truck that changes while its
+    loop is closed, and flags counts false alarms and misses of the checks on a measurement.
+
     For example:
 
         labnnum reproduce truck -o reproduced
@@ -43,14 +54,21 @@ def reproduce(
 
     from labnnum.errors import ConfigError
     from sessions.reproduce.cases import chosen
+    from sessions.reproduce.extras import EXTRAS
     from sessions.reproduce.run import open_folder, reproduce_case
     from sessions.reproduce.study import Effort
     from sessions.reproduce.tables import text_table
 
     noises = tuple(sorted(set(noise))) if noise else (0.0, 0.01, 0.03)
-    if cases < 1 or samples < 0 or any(not 0 <= n < 1 for n in noises):
-        raise ConfigError("reproduce: --cases must be at least 1, --samples at least 0, --noise from 0 to below 1")
-    names = chosen(example)
+    if cases < 0 or samples < 0 or any(not 0 <= n < 1 for n in noises):
+        raise ConfigError("reproduce: --cases and --samples must be at least 0, --noise from 0 to below 1")
+    if example in EXTRAS:
+        work, number = EXTRAS[example]
+        with _progress(example) as say:
+            table = work(cases or number, seed, open_folder(output), say)
+        typer.echo((output / f"{example}.json").read_text(encoding="utf-8") if as_json else table)
+        return
+    names, cases = chosen(example), cases or 5000
     folder = open_folder(output)
     effort = Effort(cases, noises, samples, large=large, nominal=min(nominal, cases), seed=seed)
     every = []

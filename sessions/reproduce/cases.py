@@ -179,5 +179,7 @@ def chosen(example: str) -> tuple[str, ...]:
     """
     names = tuple(n for n in CASES if not example or n == example or n.startswith(f"{example}-"))
     if not names:
-        raise ConfigError(f"reproduce: there is no example {example!r}; there are {', '.join(CASES)}, control")
+        raise ConfigError(
+            f"reproduce: there is no example {example!r}; there are {', '.join(CASES)}, control, drift, flags"
+        )
     return names
