@@ -335,7 +335,7 @@ class AudioDigitiser(Digitiser):
         if self.clock.is_wrong(1e6 * WRONG):
             raise ProtocolError(
                 f"audio device {self.name!r} delivers {self.clock.rate:.0f} frames per second,"
-                f" not {self._rate:g}: set the rate that it really has"
+                f" not {self._rate:g}: set the rate that it really has, or leave the computer less to do besides"
             )
 
     def _count(self, mark: Mark) -> None:
