@@ -39,6 +39,12 @@ def prove(
     tool: Annotated[
         str, typer.Option(help="module:function that diagnoses: (recordings, model, out) writes out/diagnosis.json.")
     ] = "sessions.diagnose:diagnose_files",
+    recordings: Annotated[
+        Path | None, typer.Option(help="For the suite `real`: the folder of the real recordings.")
+    ] = None,
+    examples: Annotated[
+        Path, typer.Option(help="For the suite `real`: the folder of their channels.toml files.")
+    ] = Path("examples/recordings"),
     as_json: Annotated[bool, typer.Option("--json", help="Print the score as JSON on standard output.")] = False,
 ) -> None:
     """Prove the diagnosis on cases whose truth is concealed.
@@ -51,11 +57,14 @@ def prove(
         labnnum prove linear --cases 400 --seed 4711 -o proof
 
     The suite "dissertation" holds a fixed handful: the cantilevered beam and a frame of Atalla (1996), sections 5.6 and
-    5.7, each with one effect concealed.
+    5.7, each with one effect concealed. The suite "real" runs recordings by others, found in --recordings.
     """
     from rich.console import Console
 
     console = Console(stderr=True)
+    if suite == "real":
+        _real(console, recordings, examples, out, only, as_json)
+        return
     if suite == "dissertation":
         _dissertation(console, out, jobs, tool, only or [], as_json)
         return
@@ -76,6 +85,31 @@ def prove(
         _print_json(found)
     else:
         _show(Console(), found, out)
+
+
+def _real(
+    console: Console, recordings: Path | None, examples: Path, out: Path, only: list[str] | None, as_json: bool
+) -> None:
+    """The real recordings: one table, or its rows as JSON."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from labnnum.errors import ConfigError
+    from sessions.prove.real import SETS, as_dicts, run_real
+
+    if recordings is None:
+        raise ConfigError("prove real: --recordings is missing; give the folder that holds the real recordings")
+    with console.status("reading") as status:
+        rows = run_real(recordings, examples, out, only or SETS, status.update)
+    if as_json:
+        _print_json({"rows": as_dicts(rows)})
+        return
+    table = Table(title="real recordings by others")
+    for name in ("recording", "measure", "found", "published, or asked for"):
+        table.add_column(name)
+    for r in rows:
+        table.add_row(r.recording, r.measure, r.found, r.published)
+    Console().print(table)
 
 
 def _those(tickets: Any, only: list[str] | None) -> Any:

@@ -76,6 +76,8 @@ class Study:
         return self.tried[0]
 
 
+ROUGH = 4
+"""Steps of the first fits, on two runs, from two starts."""
 ENOUGH = 1.15
 """Chi-square per value at which a law leaves nothing for a general one to explain."""
 
@@ -147,11 +149,13 @@ def _fit_one(
     joint = Joint(engine, point, runs, [lead.acting()], scatter, chosen)
     best: Made | None = None
     starts = [x]
-    if lead.mechanism in SPRINGY:  # the quiet run's base holds their spring already
+    if lead.mechanism in SPRINGY or steps == ROUGH:  # what the base took for its own may be the law's
         fresh = x.copy()
         n, m = engine.theta0.size, engine.band_modes.size
         fresh[:n], fresh[n : n + m] = engine.theta0, 0.0
         fresh[n + 2 * m : n + 3 * m] = 0.0
+        if steps == ROUGH:
+            fresh[n + m : n + 2 * m] = np.log(engine.zeta0[engine.band_modes])
         starts.append(fresh)
     for start in starts:
         try:
@@ -208,7 +212,7 @@ def _fits(
 ) -> list[Tried]:  # fmt: skip
     ends = sorted({0, len(runs) - 1})
     two, thin = [runs[i] for i in ends], [chosen[i] for i in ends]
-    rough = [_fit_one(engine, point, two, scatter, thin, calm.x, lead, 3) for lead in _shortlist(leads, first)]
+    rough = [_fit_one(engine, point, two, scatter, thin, calm.x, lead, ROUGH) for lead in _shortlist(leads, first)]
     rough = sorted((t for t in rough if t is not None), key=lambda t: t.cost)
     tried = [_onto(t, engine, point, runs, scatter, chosen) for t in rough[:4]]
     tried = sorted((t for t in tried if t is not None), key=lambda t: t.cost)

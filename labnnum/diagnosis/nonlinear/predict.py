@@ -1,0 +1,55 @@
+"""Responses of a diagnosed nonlinear model to any recorded input."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer
+from labnnum.diagnosis.nonlinear.problem import Joint, Lines
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.recording import Recording
+
+
+def padded(recording: Recording, top: float, rest: float = 0.02) -> Run:
+    """A record that is not periodic, as a period that ends at rest.
+
+    Zeros follow the record, `rest` of its length: long enough for the structure to come to rest, so that the
+    response repeats. Lines up to `top` Hz count as excited.
+    """
+    from scipy.fft import next_fast_len
+
+    n = 2 * next_fast_len(int(np.ceil(recording.n_samples * (1 + rest) / 2)), real=True)
+    data = np.zeros((len(recording.channels), n))
+    data[:, : recording.n_samples] = recording.data
+    spectra = np.fft.rfft(data, axis=1) * (2 / n)
+    lines = np.arange(n // 2 + 1) * recording.rate / n
+    on = (lines > 0) & (lines <= top)
+    inputs, outputs = recording.inputs, list(recording.outputs)
+    u = spectra[inputs[0]]
+    return Run(
+        recording.rate, n, u, spectra[outputs], np.zeros((len(outputs), lines.size)), on,
+        float(np.sqrt(np.sum(np.abs(u) ** 2) / 2)), recording.label, tuple(recording.channels[i] for i in outputs),
+        recording.channels[inputs[0]], 1,
+    )  # fmt: skip
+
+
+def response(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: int = 15) -> NDArray[np.float64]:
+    """Responses (n_out, n) over the period of `run`, in each channel's unit.
+
+    Parameters
+    ----------
+    linear : bool
+        Of the base model alone, fitted to the same data.
+    steps : int
+        Newton steps at most; a steady state that does not close is what they end at.
+    """
+    study = found.study
+    made = study.base if linear else found.laws[-1].made
+    at = np.flatnonzero(run.excited)[:2]
+    lines = Lines(at, np.ones((run.y.shape[0], at.size)))
+    joint = Joint(study.engine, study.point, [run], () if linear else made.terms, Scatter(), [lines])
+    orbits = joint.settle(made.x, [None], steps)
+    spectrum = joint.predict(made.x, orbits)[0]
+    return np.fft.irfft(spectrum * (run.period / 2), run.period, axis=1)

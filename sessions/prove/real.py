@@ -1,0 +1,180 @@
+"""The real recordings by others: identified, diagnosed and simulated by the tool as it is, beside published figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labnnum.component import LAWS, Test, identify_component
+from labnnum.diagnosis import Diagnosis
+from labnnum.errors import FileError
+from labnnum.recording import Recording
+from sessions.exchange import read_any
+
+SETS = ("silverbox", "f16", "friction_damper")
+"""Recordings that are run, folders of the recordings' directory."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the comparison: what was measured, what is published or asked for."""
+
+    recording: str
+    measure: str
+    found: str
+    published: str
+
+
+def run_real(
+    recordings: Path, examples: Path, out: Path, only: Sequence[str] = SETS,
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Row]:  # fmt: skip
+    """Every set that is there, one after another; rows of the table.
+
+    Parameters
+    ----------
+    recordings : Path
+        Folder with one folder a set, see docs/nonlinear.md for the public sources.
+    examples : Path
+        Folder of the channels.toml files, examples/recordings.
+
+    Raises
+    ------
+    FileError
+        If none of the sets is there.
+    """
+    found = [name for name in only if (recordings / name).is_dir()]
+    if not found:
+        raise FileError(f"{recordings}: holds none of the folders {', '.join(only)}")
+    rows: list[Row] = []
+    for name in found:
+        progress(name)
+        rows += RUNS[name](recordings / name, examples / name, out / name)
+    return rows
+
+
+def _diagnosed(files: Sequence[Path], model: Path, channels: Path) -> Diagnosis:
+    from sessions.diagnose import run
+    from sessions.model import read_model
+
+    return run(files, read_model(model), (), channels)
+
+
+def _said(d: Diagnosis) -> str:
+    names = "; ".join(f"{n.term.mechanism.id} at {n.place}" for n in d.named)
+    return f"{d.verdict}: {names}" if names else f"{d.verdict} at {d.place}"
+
+
+def silverbox(data: Path, examples: Path, out: Path) -> list[Row]:
+    """Base model from the quiet start of the arrow, diagnosis on multisines, simulation of the arrow."""
+    from labnnum.diagnosis.nonlinear.predict import padded, response
+    from sessions.identify import identify_files
+
+    file = data / "SNLS80mV.mat"
+    base = out / "base.toml"
+    identify_files([file], base, examples / "start.channels.toml", 5.0, 200.0, modes=1)
+    d = _diagnosed([file], base, examples / "multisine.channels.toml")
+    rows = [Row("Silverbox", "verdict", _said(d), "cubic hardening, small even part")]
+    answer = d.detail.get("nonlinear")
+    if answer is None:
+        return rows
+    every = [r for r in _recordings(file, examples / "channels.toml")]
+    for label, published in (("arrow", "linear 14.3, Duffing 0.385, NARX 4.15, black boxes 0.26"),
+                             ("multisine 10", "Duffing 0.30")):  # fmt: skip
+        one = next(r for r in every if r.label.endswith(label))
+        run = padded(one, 220.0) if label == "arrow" else padded(one, 205.0, 0.0)
+        measured = one.data[one.outputs[0]]
+        for linear in (True, False):
+            made = response(answer, run, linear=linear)[0, : measured.size]
+            rms = 1e3 * float(np.sqrt(np.mean((measured - made) ** 2)))
+            rows.append(Row("Silverbox", f"{label}, {'linear base' if linear else 'extended'}, mV RMS", f"{rms:.3f}",
+                            published))  # fmt: skip
+    return rows
+
+
+def _recordings(file: Path, channels: Path) -> list[Recording]:
+    found = read_any(file, channels)
+    if not isinstance(found, list):
+        raise FileError(f"{file}: holds FRFs, not recordings")
+    return found
+
+
+def f16(data: Path, examples: Path, out: Path) -> list[Row]:
+    """Base model from level 1, diagnosis on levels 1, 3 and 7, level 5 withheld."""
+    from sessions.identify import identify_files
+
+    files = [data / f"F16Data_FullMSine_Level{i}.mat" for i in (1, 3, 7)]
+    channels = examples / "channels.toml"
+    base = out / "base.toml"
+    identify_files(files[:1], base, channels, 2.5, 14.0)
+    from sessions.diagnose import run
+    from sessions.model import read_model
+
+    d = run(files, read_model(base), [data / "F16Data_FullMSine_Level5.mat"], channels)
+    place = f"{d.place}" if d.place else "none"
+    return [
+        Row("F-16", "verdict", _said(d), "clearance and friction at the payload joint"),
+        Row("F-16", "place", place, "joint payload - joint wing (acc2, acc3)"),
+        Row("F-16", "level 5 withheld, relative error, base", f"{d.base_error[1]:.3f}", ""),
+        Row(
+            "F-16", "level 5 withheld, relative error, extended", f"{d.extended_error[1]:.3f}", "a third of the base's"
+        ),
+    ]
+
+
+INCH, KIP = 0.0254, 4448.2216152605
+
+
+def damper_tests(data: Path) -> list[Test]:
+    """Component tests of the friction damper, in SI units, the first cycle left out of the errors."""
+    import json
+
+    out = []
+    for file in sorted(data.glob("*.json")):
+        content = json.loads(file.read_text(encoding="utf-8"))
+        rows = np.array(content["data"], float)
+        hertz = float(file.stem.split("_")[1].split("Hz")[0])
+        skip = max(round(1024 / hertz / 256), 1)
+        cycle = round(1024 / hertz / skip)
+        z, f, v = rows[::skip, 1] * INCH, rows[::skip, 2] * KIP, rows[::skip, 3] * INCH
+        out.append(Test(z, v, f, cycle, file.stem))
+    if not out:
+        raise FileError(f"{data}: holds no .json file")
+    return out
+
+
+def friction_damper(data: Path, examples: Path, out: Path) -> list[Row]:
+    """Laws of force and motion fitted to the slow tests, judged on the others."""
+    tests = damper_tests(data)
+    slow = [t for t in tests if "_0.5Hz" in t.label or "_1Hz" in t.label]
+    train, held = slow[::2] or tests, [t for t in slow if not any(t is s for s in slow[::2])] or tests
+    fits = identify_component(train, held)
+    best = fits[0]
+    rows = [Row("friction damper", "law", best.law, "dry friction with backlash")]
+    for (name, unit), value, std in zip(LAWS[best.law], best.value, best.std, strict=True):
+        note = "about 7 mm of lost motion in all" if name == "backlash" else ""
+        rows.append(Row("friction damper", f"{name}, {unit}", f"{value:.4g} +- {std:.2g}", note))
+    if best.law == "stick-slip with clearance":
+        lost = best.value[2] + 2 * best.value[1] / best.value[0]
+        rows.append(
+            Row("friction damper", "lost motion at reversal, play and elastic, mm", f"{1e3 * lost:.2f}", "about 7")
+        )
+    for f in fits:
+        rows.append(Row("friction damper", f"held-out relative error, {f.law}", f"{f.held_out:.3f}", ""))
+    return rows
+
+
+RUNS: dict[str, Callable[[Path, Path, Path], list[Row]]] = {
+    "silverbox": silverbox,
+    "f16": f16,
+    "friction_damper": friction_damper,
+}
+
+
+def as_dicts(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """For --json."""
+    return [r.__dict__ for r in rows]

@@ -1,0 +1,157 @@
+"""Nonlinear diagnosis: steady states against a time march by other code, exact slopes, and whole answers."""
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis import diagnose, observe_all
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.detect import signs
+from labnnum.diagnosis.nonlinear.march import CODES
+from labnnum.diagnosis.nonlinear.receptance import Base
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.nonlinear import Element, NonlinearSimulation
+from labnnum.parameters import Parameter
+from labnnum.recording import Channel, Recording
+from labnnum.structures import Chain
+from labnnum.structures.chain import Link
+from labnnum.system import system
+
+RATE, PERIOD = 40.0, 512
+OUTPUTS = tuple(Channel(f"a{i}", "acceleration", "response", str(i), "x") for i in (1, 2, 4))
+FORCE = Channel("f", "force", "reference", "3", "x")
+
+
+def chain(k1="k1"):
+    links = [Link("1", "ground", k1, 4.0)] + [Link(str(i), str(i + 1), 1000.0, 4.0) for i in range(1, 4)]
+    prior = (Parameter("k1", 1000.0, 700.0, 1300.0, "N/m", std=50.0),) if k1 == "k1" else ()
+    return Chain({str(i): 1.0 for i in range(1, 5)}, tuple(links), prior)
+
+
+def joint_23():
+    column = np.zeros(4)
+    column[1], column[2] = -1.0, 1.0
+    return column
+
+
+def multisine(level, seed):
+    """Odd lines up to 12 Hz, one in four left out."""
+    lines = np.arange(7, 150, 2)
+    rng = np.random.default_rng(seed)
+    spectrum = np.zeros(PERIOD // 2 + 1, complex)
+    on = lines[np.arange(lines.size) % 4 != 2]
+    spectrum[on] = np.exp(2j * np.pi * rng.random(on.size)) * level * np.sqrt(2 / on.size)
+    return spectrum
+
+
+def marched(spectrum, elements, structure, fine=16, periods=9):
+    """Responses (n_out, n) to a periodic input by the bench's own march, the last period at `fine` samples each."""
+    n = PERIOD * fine
+    one = np.fft.irfft(np.pad(spectrum, (0, n // 2 - PERIOD // 2)) * n / 2, n)
+    march = NonlinearSimulation(system(structure, structure.nominal, OUTPUTS, [FORCE]), elements, 1 / (RATE * fine))
+    y = march.run(np.tile(one, periods)[None])
+    return y[:, (periods - 2) * n : (periods - 1) * n]
+
+
+def lines_of(y):
+    return np.fft.rfft(y, axis=1)[:, : PERIOD // 2 + 1] * 2 / y.shape[1]
+
+
+def steady(structure, spectrum, law, p):
+    engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
+    base = Base(engine, engine.start(), joint_23()[:, None], 2 * np.pi * np.arange(PERIOD // 2 + 1) * RATE / PERIOD)
+    none = np.zeros((3, PERIOD // 2 + 1))
+    run = Run(RATE, PERIOD, spectrum, none + 0j, none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
+    parameters = np.zeros((1, 10))
+    parameters[0, : len(p)] = p
+    return base, Steady(run, np.array([CODES[law]]), 4), parameters
+
+
+LAWS = [
+    ("cubic", (3e4,), "cubic", (3e4,), 2e-3),
+    ("quadratic", (3e3,), "quadratic", (3e3,), 2e-3),
+    ("one-sided-gap", (500.0, 0.002), "one-sided-gap", (500.0, 0.002), 5e-3),
+    ("clearance", (500.0, 0.002), "clearance", (500.0, 0.002), 5e-3),
+    ("coulomb", (1.0,), "coulomb", (1.0,), 3e-2),
+    ("quadratic-damping", (2.0,), "quadratic-damping", (2.0,), 2e-3),
+    ("stick-slip", (400.0, 6.0), "jenkins", (400.0, 6.0), 5e-3),
+    ("hysteresis", (400.0, 0.03, 2.0, 0.5), "bouc-wen", (400.0, 0.5 / 0.03**2, 0.5 / 0.03**2, 2.0), 5e-3),
+]
+
+
+@pytest.mark.parametrize(("law", "p", "other", "q", "close"), LAWS, ids=[row[0] for row in LAWS])
+def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
+    structure, spectrum = chain(), multisine(25.0, 1)
+    base, solver, parameters = steady(structure, spectrum, law, p)
+    r = base.at(base.start())
+    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-6)
+    assert orbit.closing < 1e-4
+    linear = r.lift * (r.plain * spectrum)
+    made = linear + r.lift * (r.h * orbit.force).sum(axis=1)
+    truth = lines_of(marched(spectrum, [Element(other, joint_23(), q)], structure))
+    inside = slice(7, 150)
+    change = np.linalg.norm((truth - linear)[:, inside])
+    assert change > 0.01 * np.linalg.norm(truth[:, inside])  # the law matters
+    assert np.linalg.norm((made - truth)[:, inside]) < close * np.linalg.norm(truth[:, inside])
+
+
+@pytest.mark.parametrize(
+    ("law", "p"), [("cubic", (3e4,)), ("quadratic-damping", (2.0,)), ("clearance", (500.0, 0.002))]
+)
+def test_slopes_are_those_of_finite_steps(law, p):
+    base, solver, parameters = steady(chain(), multisine(25.0, 2), law, p)
+    x = base.start()
+    r = base.at(x)
+    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-9)
+    _, _, dz, dg = base.derivatives(x, r)
+    vary = np.zeros((len(p), 1, 10))
+    vary[np.arange(len(p)), 0, np.arange(len(p))] = 1.0
+    _, slope = solver.slopes(r, parameters, orbit, (dz, dg), vary)
+    for j, value in enumerate(p):
+        ends = []
+        for sign in (1, -1):
+            moved = parameters.copy()
+            moved[0, j] += sign * 1e-4 * value
+            ends.append(solver.settle(r, moved, orbit, 25, 1e-9).force)
+        finite = (ends[0] - ends[1]) / (2e-4 * value)
+        assert np.linalg.norm(slope.force[x.size + j] - finite) < 0.05 * np.linalg.norm(finite)
+
+
+def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3):
+    """Recordings of four periods at each level, two realisations, with noise relative to the lowest level's."""
+    out = []
+    floor = None
+    for level in levels:
+        for realisation in range(2):
+            spectrum = multisine(level, 10 * realisation + int(level))
+            y = marched(spectrum, elements, structure, fine=8)[:, ::8]
+            floor = noise * y.std(axis=1, keepdims=True) if floor is None else floor
+            rng = np.random.default_rng(int(100 * level) + realisation)
+            u = np.fft.irfft(spectrum * PERIOD / 2, PERIOD)
+            data = np.tile(np.vstack([u, y]), 4)
+            data[1:] += floor * rng.standard_normal((3, data.shape[1]))
+            data[0] += 1e-4 * level * rng.standard_normal(data.shape[1])
+            label = f"level {level:g} run {realisation}"
+            out.append(Recording((FORCE, *OUTPUTS), data, RATE, period=PERIOD, label=label))
+    return observe_all(out)
+
+
+def test_a_sound_structure_shows_no_sign():
+    found = signs([o.run for o in runs([], chain())])
+    assert not found.present
+
+
+@pytest.mark.parametrize(
+    ("law", "p", "name", "value"),
+    [("cubic", (2e4,), "cubic-stiffness", 2e4), ("quadratic", (-2e3,), "quadratic-stiffness", -2e3)],
+)
+def test_a_law_between_two_masses_is_located_named_and_measured(law, p, name, value):
+    observations = runs([Element(law, joint_23(), p)], chain())
+    assert signs([o.run for o in observations]).present
+    found = diagnose(chain(), observations)
+    assert found.verdict == "missing-physics", found.summary
+    assert (found.place.id, found.place.to) == ("2", "3")
+    assert found.named[0].term.mechanism.id == name
+    assert found.named[0].value[0] == pytest.approx(value, rel=0.1)
+    assert found.extended_error[1] < 0.3 * found.base_error[1]
+    assert found.as_dict()["mechanism"]["sense"] == ("hardening" if value > 0 else "softening")
