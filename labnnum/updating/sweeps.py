@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labnnum.errors import ModelError
 from labnnum.parameters import Parameter
 from labnnum.structures.duffing import Duffing, Sweep
 
@@ -52,14 +53,22 @@ class SweepBatch:
         return len(self.sweeps) * max(1, len(self.levels)), 1, self.frequency.size
 
     def frf(self, theta: ArrayLike) -> NDArray[np.complex128]:
-        """First harmonic over force, shape (n, n_out, 1, n_f)."""
-        sets, omega = np.atleast_2d(np.asarray(theta, float)), 2 * np.pi * self.frequency
-        rows = [d.response(sets, omega, s, self.count) for d, s in self._runs()]
-        return np.stack(rows, axis=1)[:, :, None]
+        """First harmonic over force, shape (n, n_out, 1, n_f); NaN for a set without a periodic solution."""
+        return self.sensitivity(theta)[0]
 
     def sensitivity(self, theta: ArrayLike) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """The same and its exact derivatives along the branches, shape (n, 2, n_out, 1, n_f)."""
-        sets, omega = np.atleast_2d(np.asarray(theta, float)), 2 * np.pi * self.frequency
+        sets = np.atleast_2d(np.asarray(theta, float))
+        try:
+            return self._together(sets)
+        except ModelError:  # some set has no solution: halve until it stands alone
+            if len(sets) == 1:
+                return np.full((1, *self.shape), np.nan + 0j), np.full((1, 2, *self.shape), np.nan + 0j)
+        parts = [self.sensitivity(part) for part in np.array_split(sets, 2)]
+        return np.concatenate([v for v, _ in parts]), np.concatenate([d for _, d in parts])
+
+    def _together(self, sets: NDArray) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        omega = 2 * np.pi * self.frequency
         rows = [d.sensitivity(sets, omega, s, self.count) for d, s in self._runs()]
         value = np.stack([v for v, _ in rows], axis=1)[:, :, None]
         slope = np.stack([np.moveaxis(d, 0, 1) for _, d in rows], axis=2)[:, :, :, None]

@@ -48,3 +48,12 @@ def test_parameters_come_back_from_forward_and_backward_sweeps(batch):
 def test_more_levels_tell_more():
     one, two = (SweepBatch(OSCILLATOR, LINES, levels=levels) for levels in ((0.6,), (0.3, 0.6)))
     assert (bound_deviations(two, SETS, 0.01) < bound_deviations(one, SETS, 0.01)).all()
+
+
+def test_a_set_without_a_solution_does_not_spoil_the_others():
+    batch = SweepBatch(OSCILLATOR, LINES)
+    bad = np.vstack([SETS, [[-0.1, 1.5]]])  # negative damping
+    value, slope = batch.sensitivity(bad)
+    assert np.isnan(value[3]).all()
+    assert np.isnan(slope[3]).all()
+    assert np.allclose(value[:3], batch.frf(SETS), rtol=1e-9)
