@@ -275,12 +275,12 @@ def _decide(
     )
     final = selection.chain[-1]
     verdict, named, reason = _verdict(selection, limits, data, measured)
-    if named and extended_error[1] > limits.improve * base_error[1]:
+    if named and extended_error[1] > limits.improve ** len(named) * base_error[1]:
         verdict, named, reason = (
             "unexplained",
             (),
             f"the best name, {named[0].term.mechanism.id} at {named[0].place},"
-            " does not improve the prediction of data held out",
+            " does not improve the prediction of data held out enough",
         )
     if verdict == "unexplained" and not _missing(engine, lines, selection, limits, scatter, data, train, test,
                                                  base_error, extended_error, measured):  # fmt: skip
@@ -382,6 +382,9 @@ def _verdict(
     left = final.fit.objective / (2 * data.value.size)
     if measured_noise and left > limits.misfit and final.fit.objective > limits.remains * base.fit.objective:
         return "unexplained", (), "what the best mechanism leaves is far more than noise"
+    answers = [(c.last.mechanism.id, c.last.place) for c in selection.chain[1:]]
+    if len(set(answers)) < len(answers):
+        return "unexplained", (), "it takes one mechanism twice at one place: the law there is another"
     if lead < limits.name and len(selection.chain) == 2:
         return "unexplained", (), "two mechanisms explain it equally well"
     named = []

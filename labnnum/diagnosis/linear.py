@@ -146,7 +146,7 @@ def with_noise_found(task: Task, held: Sequence[Term], start: Point) -> Data:
 
 def select(
     engine: Engine, frf: Frf, terms: Sequence[Term], general: Sequence[Term], scatter: Scatter, limits: Limits,
-    *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 10,
+    *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 8,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Selection:  # fmt: skip
     """Add the best term while it pays (`limits`), `depth` at most.
@@ -235,18 +235,21 @@ def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> 
     nominal = _afresh(engine, before).vector()
     fine = shortlist(direction_score(engine, task.coarse, scatter, terms, x, before.terms), width, task.counts)
     rough = shortlist(grid_score(engine, task.ladder[0], scatter, terms, nominal, before.terms), width, task.counts)
+    middle = grid_score(engine, task.ladder[1], scatter, terms, x, before.terms) if task.counts else []
     found = [_try(task, lead, before) for lead in fine]
-    found += [_try(task, _faint(lead), before) for lead in fine[:5]]
+    found += [_try(task, _faint(lead), before) for lead in fine[:3]]
     found += [_try(task, lead, before, 0) for lead in rough]
-    for lead in (x for x in rough[:4] if x.term.n in (2, 3)):  # one parameter needs no second start
+    found += [_try(task, lead, before, 1) for lead in shortlist(middle, 4, task.counts)]
+    for lead in (x for x in rough[:3] if x.term.n in (2, 3)):  # one parameter needs no second start
         found += [_try(task, replace(lead, start=p), before, rung) for p in lead.others for rung in (0, 2)]
     if found:
         winner = min(found, key=lambda c: c.cost)
         done = {id(c.last) for c in found if c.cost < before.cost}
-        found += _otherwise(task, terms, before, winner)
         found += _elsewhere(task, terms, before, winner, done)
-        second = min(found, key=lambda c: c.cost)
-        found += _again(task, terms, before, second, done)
+        if task.counts:
+            found += _otherwise(task, terms, before, winner)
+            second = min(found, key=lambda c: c.cost)
+            found += _again(task, terms, before, second, done)
     found = [c for c in found if not _shadows(engine, c)]
     best: dict[int, Candidate] = {}
     for c in found:
@@ -324,8 +327,12 @@ def _again(
     others = [t for t in terms if id(t) not in done and id(t) != id(winner.last)]
     origin = winner_base(before, winner)
     leads = grid_score(task.engine, task.ladder[1], task.scatter, others, origin.fit.point.vector(), before.terms)
-    leads = sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n))
-    return [_try(task, lead, origin, 2) for lead in _one_each(leads)[:n]]
+    leads = _one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))
+    here = [lead for lead in leads if lead.term.place.touches(winner.last.place)][:n]
+    away = [lead for lead in leads if lead not in here][: n - 1]
+    found = [_try(task, lead, origin, 2) for lead in (*here, *away)]
+    tried = [(replace(lead, start=p), rung) for lead in here if lead.term.n > 1 for p in lead.others for rung in (2, 4)]
+    return found + [_try(task, lead, origin, rung) for lead, rung in tried]
 
 
 def _one_each(leads: Sequence[Lead]) -> list[Lead]:

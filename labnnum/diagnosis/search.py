@@ -150,7 +150,7 @@ def grid_score(
     return leads
 
 
-def _apart(starts: NDArray, order: NDArray, n: int = 3) -> list[int]:
+def _apart(starts: NDArray, order: NDArray, n: int = 4) -> list[int]:
     """The first `n` of `order` whose starts differ from each other by more than a factor of three in some parameter."""
     size = np.log(np.maximum(np.abs(starts), 1e-300))
     kept: list[int] = []

@@ -23,7 +23,8 @@ class Limits:
     parameter: price of one more parameter.
     behind: how far a named term may stay behind the general local law, as a share of the total gain.
     misfit: objective per value above which nothing is called explained.
-    improve: part of the base's held-out error that the extended model must fall below for a name.
+    improve: part of the base's held-out error that the extended model must fall below for a name; its square for
+        two, and so on.
     improve_further: the same for each further mechanism after the one before.
     doubt: the same for "unexplained".
     remains: part of the base's objective that is no misfit, however far it stands above the noise.

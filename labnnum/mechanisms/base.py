@@ -33,6 +33,11 @@ class Place:
         """As `diagnosis.json` holds it."""
         return {"kind": self.kind, "id": self.id, "to": self.to}
 
+    def touches(self, other: Place) -> bool:
+        """Whether the two are one place, whatever acts there: the same node or channel, or the same two nodes."""
+        mine, theirs = {self.id, self.to} - {None}, {other.id, other.to} - {None}
+        return mine == theirs and (self.kind == "channel") == (other.kind == "channel")
+
     def __str__(self) -> str:
         if self.kind in ("global", "system"):
             return "the whole structure"
