@@ -22,8 +22,8 @@ FAILED = 8.0
 FIRST = 20_000_000
 """Number of the first verification set's noise stream, far from those of the training."""
 
-TRIES = 6
-"""Further starts of a set that noise does not explain."""
+TRIES = (1.0,) * 6 + (0.3, 3.0, 10.0) * 10
+"""Further starts of a set that noise does not explain: distances in units of the networks' disagreement."""
 
 NORMAL_90 = 1.6448536269514722
 
@@ -221,7 +221,7 @@ def starts(answers: dict[str, NDArray], noise: float, n: int) -> list[NDArray]:
     own = noisy_name(noise)
     first = [answers[k] for k in ([own] if own in answers else []) + ["large network", "network"] if k in answers]
     apart = np.maximum(np.abs(first[0] - first[-1]), 1e-4 * np.abs(first[-1]))
-    scatter = np.random.default_rng(17).standard_normal((TRIES, n))
+    scatter = np.random.default_rng(17).standard_normal((len(TRIES), n)) * np.array(TRIES)[:, None]
     return [*first, *(first[-1] + apart * s for s in scatter)]
 
 
