@@ -60,7 +60,16 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
 USAGE: type[Exception] = typer.BadParameter.__mro__[1]
 """What is raised where the command line itself cannot be read."""
 
-NOT_THERE = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.EROFS)
+NOT_THERE = (
+    errno.ENOENT,
+    errno.EEXIST,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.ENAMETOOLONG,
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+)
 """Failures of the system that a name given by the user causes."""
 
 for _name, _where in COMMANDS:
