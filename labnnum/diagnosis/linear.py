@@ -61,12 +61,13 @@ def dispersion(made: Fit, data: Data) -> float:
     return max(QUIET, made.data_part / (2 * data.value.size))
 
 
-def choose_lines(frf: Frf, n: int = 400) -> Frf:
-    """At most `n` lines, dense where the FRFs turn quickly.
+def choose_lines(frf: Frf, n: int = 0) -> Frf:
+    """At most `n` lines (400, or fewer with more than four rows), dense where the FRFs turn quickly.
 
     Lines are taken at equal increments of an arc length: the change of log H between neighbours, noise left out,
     plus an even share in log frequency.
     """
+    n = n or int(np.clip(1600 // (frf.value.shape[0] * frf.value.shape[1]), 220, 400))
     if frf.frequency.size <= n:
         return frf
     h = frf.value.reshape(-1, frf.frequency.size)
@@ -102,11 +103,19 @@ class Task:
     counts: Mapping[str, int] = field(default_factory=dict)
     """How many terms each mechanism has: a name that may act in many places matches by chance more often."""
 
-    def down(self, terms: Sequence[Term], x: NDArray, first: int = 0) -> Fit:
-        """Fit the broadened data from rung `first` to the finest, then the thinned lines."""
+    def down(self, terms: Sequence[Term], x: NDArray, first: int = 0, ceiling: float = np.inf) -> Fit:
+        """Fit the broadened data from rung `first` to the finest, then the thinned lines.
+
+        A fit that is above `ceiling` after a few steps is left there.
+        """
         rough = x
         for level in self.ladder[first:]:
             rough = fit(self.engine, level, terms, self.scatter, rough, steps=8, tolerance=1.0).point.vector()
+        if np.isfinite(ceiling):
+            made = fit(self.engine, self.coarse, terms, self.scatter, rough, steps=6)
+            if made.converged or made.objective > ceiling:
+                return made
+            rough = made.point.vector()
         return fit(self.engine, self.coarse, terms, self.scatter, rough, steps=20 if terms else 40)
 
     def refined(self, made: Fit, steps: int = 12) -> Fit:
@@ -171,11 +180,11 @@ def select(
     start = engine.start(held, np.concatenate([np.empty(0), *(p for _, p in initial)]))
     ladder = tuple(broaden(engine, data, start, held, k) for k in LADDER)
     counts = Counter(t.mechanism.id for t in terms)
-    task = Task(engine, data, thin(data), ladder, scatter, limits, counts)
+    task = Task(engine, data, thin(data, data.s.size * 2 // 5), ladder, scatter, limits, counts)
     if not measured_noise:
         progress("estimating the noise")
         data = with_noise_found(task, held, start)
-        task = replace(task, data=data, coarse=thin(data))
+        task = replace(task, data=data, coarse=thin(data, data.s.size * 2 // 5))
     progress("fitting the model as it is")
     base = base_fit(task, held, start)
     chain = [Candidate(held, base, base.objective)]
@@ -209,12 +218,27 @@ def _simplest(found: Sequence[Candidate], limits: Limits) -> Candidate:
     return min(ties, key=lambda c: (c.last.n, c.cost))
 
 
-def _try(task: Task, lead: Lead, before: Candidate, first: int | None = None) -> Candidate:
-    """Fit of the model before with the lead's term, on the thinned lines; down the ladder from rung `first`."""
-    terms = (*before.terms, lead.term)
-    old = _afresh(task.engine, before) if first == 0 else before.fit.point
-    x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
-    return task.priced(terms, task.down(terms, x, len(task.ladder) if first is None else first))
+class _Race:
+    """Candidates for one more term, fitted one after another; who falls far behind is not carried on."""
+
+    def __init__(self, task: Task, before: Candidate) -> None:
+        self.task, self.before = task, before
+        self.found: list[Candidate] = []
+
+    @property
+    def leader(self) -> Candidate:
+        """The best so far."""
+        return min(self.found, key=lambda c: c.cost)
+
+    def enter(self, lead: Lead, rung: int | None = None, origin: Candidate | None = None) -> None:
+        """Fit of the model before (at `origin`'s point) with the lead's term, down the ladder from `rung`."""
+        task, before = self.task, origin or self.before
+        terms = (*before.terms, lead.term)
+        old = _afresh(task.engine, before) if rung == 0 else before.fit.point
+        x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
+        ceiling = 8.0 * self.leader.fit.objective + 500.0 if self.found else np.inf
+        rung = len(task.ladder) if rung is None else rung
+        self.found.append(task.priced(terms, task.down(terms, x, rung, ceiling)))
 
 
 def _afresh(engine: Engine, before: Candidate) -> Point:
@@ -236,20 +260,24 @@ def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> 
     fine = shortlist(direction_score(engine, task.coarse, scatter, terms, x, before.terms), width, task.counts)
     rough = shortlist(grid_score(engine, task.ladder[0], scatter, terms, nominal, before.terms), width, task.counts)
     middle = grid_score(engine, task.ladder[1], scatter, terms, x, before.terms) if task.counts else []
-    found = [_try(task, lead, before) for lead in fine]
-    found += [_try(task, _faint(lead), before) for lead in fine[:3]]
-    found += [_try(task, lead, before, 0) for lead in rough]
-    found += [_try(task, lead, before, 1) for lead in shortlist(middle, 4, task.counts)]
+    race = _Race(task, before)
+    for lead in rough:
+        race.enter(lead, 0)
+    for lead in shortlist(middle, 4, task.counts):
+        race.enter(lead, 1)
+    for lead in (*fine, *(_faint(x) for x in fine[:3])):
+        race.enter(lead)
     for lead in (x for x in rough[:3] if x.term.n in (2, 3)):  # one parameter needs no second start
-        found += [_try(task, replace(lead, start=p), before, rung) for p in lead.others for rung in (0, 2)]
-    if found:
-        winner = min(found, key=lambda c: c.cost)
-        done = {id(c.last) for c in found if c.cost < before.cost}
-        found += _elsewhere(task, terms, before, winner, done)
+        for p in lead.others:
+            race.enter(replace(lead, start=p), 0)
+            race.enter(replace(lead, start=p), 2)
+    if race.found:
+        done = {id(c.last) for c in race.found if c.cost < before.cost}
+        _elsewhere(race, terms, done)
         if task.counts:
-            found += _otherwise(task, terms, before, winner)
-            second = min(found, key=lambda c: c.cost)
-            found += _again(task, terms, before, second, done)
+            _otherwise(race, terms)
+            _again(race, terms, done)
+    found = race.found
     found = [c for c in found if not _shadows(engine, c)]
     best: dict[int, Candidate] = {}
     for c in found:
@@ -282,28 +310,29 @@ def _faint(lead: Lead) -> Lead:
     return Lead(lead.term, start, lead.gain)
 
 
-def _otherwise(task: Task, terms: Sequence[Term], before: Candidate, winner: Candidate, n: int = 4) -> list[Candidate]:
-    """The winner's mechanism in its other variants at the same place, such as both compliances of a clamp at once."""
-    last = winner.last
+def _otherwise(race: _Race, terms: Sequence[Term], n: int = 4) -> None:
+    """The leader's mechanism in its other variants at the same place, such as both compliances of a clamp at once."""
+    task, before, last = race.task, race.before, race.leader.last
     kin = [t for t in terms if t.mechanism.id == last.mechanism.id and t.place == last.place and t is not last]
     if not kin:
-        return []
+        return
     nominal = _afresh(task.engine, before).vector()
     leads = grid_score(task.engine, task.ladder[0], task.scatter, kin, nominal, before.terms)
-    best = sorted(leads, key=lambda lead: -lead.gain)[:n]
-    starts = [replace(lead, start=p) for lead in best for p in (lead.start, *lead.others)]
-    return [_try(task, lead, before, rung) for lead in starts for rung in ((0, 2) if lead.term.n > 1 else (0,))]
+    for lead in sorted(leads, key=lambda lead: -lead.gain)[:n]:
+        for p in (lead.start, *lead.others):
+            race.enter(replace(lead, start=p), 0)
+            if lead.term.n > 1:
+                race.enter(replace(lead, start=p), 2)
 
 
-def _elsewhere(
-    task: Task, terms: Sequence[Term], before: Candidate, winner: Candidate, done: set[int], n: int = 4
-) -> list[Candidate]:
-    """The winner's mechanism at the places where it was not tried, from the winner's parameters: its true rivals."""
+def _elsewhere(race: _Race, terms: Sequence[Term], done: set[int], n: int = 4) -> None:
+    """The leader's mechanism at the places where it was not tried, from the leader's parameters: its true rivals."""
+    task, before, winner = race.task, race.before, race.leader
     kin = [
         t for t in terms if t.mechanism.id == winner.last.mechanism.id and id(t) not in done and t.n == winner.last.n
     ]
     if not kin or not winner.last.n:
-        return []
+        return
     p = winner.fit.point.terms[-winner.last.n :]
     sized = []
     for t in kin:
@@ -312,27 +341,27 @@ def _elsewhere(
         low, high = [q.lower for q in t.parameters], [q.upper for q in t.parameters]
         sized.append(replace(t, starts=np.clip(starts, low, high)))
     origin = winner_base(before, winner)
-    leads = shortlist(
-        grid_score(task.engine, task.coarse, task.scatter, sized, origin.fit.point.vector(), before.terms), n
-    )
+    x = origin.fit.point.vector()
     own = {(str(t.place), t.variant): t for t in kin}
-    again = [Lead(own[str(lead.term.place), lead.term.variant], lead.start, lead.gain) for lead in leads]
-    return [_try(task, lead, origin) for lead in again]
+    for lead in shortlist(grid_score(task.engine, task.coarse, task.scatter, sized, x, before.terms), n):
+        race.enter(Lead(own[str(lead.term.place), lead.term.variant], lead.start, lead.gain), None, origin)
 
 
-def _again(
-    task: Task, terms: Sequence[Term], before: Candidate, winner: Candidate, done: set[int], n: int = 5
-) -> list[Candidate]:
-    """Every other term scored once more where the winner has put the parameters."""
-    others = [t for t in terms if id(t) not in done and id(t) != id(winner.last)]
+def _again(race: _Race, terms: Sequence[Term], done: set[int], n: int = 5) -> None:
+    """Every other term scored anew where the leader has put the parameters; at its own place, whatever was tried."""
+    task, before, winner = race.task, race.before, race.leader
     origin = winner_base(before, winner)
+    others = [t for t in terms if t is not winner.last]
     leads = grid_score(task.engine, task.ladder[1], task.scatter, others, origin.fit.point.vector(), before.terms)
     leads = _one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))
     here = [lead for lead in leads if lead.term.place.touches(winner.last.place)][:n]
-    away = [lead for lead in leads if lead not in here][: n - 1]
-    found = [_try(task, lead, origin, 2) for lead in (*here, *away)]
-    tried = [(replace(lead, start=p), rung) for lead in here if lead.term.n > 1 for p in lead.others for rung in (2, 4)]
-    return found + [_try(task, lead, origin, rung) for lead, rung in tried]
+    away = [lead for lead in leads if lead not in here and id(lead.term) not in done][: n - 1]
+    for lead in (*here, *away):
+        race.enter(lead, 2, origin)
+    for lead in (x for x in here if x.term.n > 1):
+        for p in lead.others:
+            race.enter(replace(lead, start=p), 2, origin)
+            race.enter(replace(lead, start=p), None, origin)
 
 
 def _one_each(leads: Sequence[Lead]) -> list[Lead]:
