@@ -58,6 +58,9 @@ def test_train_on_a_measurement_then_update_it(type_in, bench, tmp_path):
         one = found["parameters"][name]
         assert abs(one["value"] - truth) < 4 * one["std"]
     assert found["method"] == "network + least squares"
+    advised = json.loads(type_in("update run.h5 --updater u.h5 --advise --json").out)["advice"]
+    assert all(min(one["std_ratio"].values()) < 1 for one in advised)
+    assert "standard deviation of" in type_in("update run.h5 --updater u.h5 --advise").out or not advised
     assert 0.6 < found["chi2"] < 1.5
     with open_session(tmp_path / "run.h5") as session:
         stored = latest_estimate(session)

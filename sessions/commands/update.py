@@ -33,6 +33,9 @@ def update(
     floor: Annotated[
         float | None, typer.Option(help="Relative error of the model, added to the random error of every line.")
     ] = None,
+    advise: Annotated[
+        bool, typer.Option("--advise", help="Say which further sensor or band would narrow the parameters most.")
+    ] = False,
     keep: Annotated[bool, typer.Option(help="Store the estimate in the session.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")] = False,
 ) -> None:
@@ -61,15 +64,29 @@ def update(
     done = run_update(measured, updater, model, method, prior=prior, floor=floor)
     if keep and measurement.suffix.lower() in (".h5", ".hdf5"):
         store(measurement, done)
-    _show(done, as_json)
+    _show(done, as_json, _advice(done) if advise else None)
 
 
-def _show(done: Update, as_json: bool) -> None:
+def _advice(done: Update) -> list[dict]:
+    """Sensors and bands that would tell more, at the estimate."""
+    from labnnum.bands import Band
+    from labnnum.updating.advice import suggestions
+
+    bands = done.bands or (Band(float(done.frf.frequency[1]), float(done.frf.frequency[-1])),)
+    found = suggestions(done.structure, done.estimate.value, bands, done.frf.outputs, done.frf.inputs)
+    names = [p.name for p in done.estimate.parameters]
+    return [
+        {"kind": s.kind, "what": s.what, "std_ratio": dict(zip(names, s.deviation.tolist(), strict=True))}
+        for s in found
+    ]
+
+
+def _show(done: Update, as_json: bool, advice: list[dict] | None) -> None:
     import json
 
     estimate = done.estimate
     if as_json:
-        typer.echo(json.dumps(_plain(estimate)))
+        typer.echo(json.dumps(_plain(estimate) | ({} if advice is None else {"advice": advice})))
         return
     from rich.console import Console
     from rich.table import Table
@@ -82,6 +99,12 @@ def _show(done: Update, as_json: bool) -> None:
     Console().print(table)
     for warning in estimate.warnings:
         typer.echo(f"warning: {warning}", err=True)
+    for one in advice or ():
+        name, ratio = min(one["std_ratio"].items(), key=lambda pair: pair[1])
+        where = f"sensor at {one['what']}" if one["kind"] == "sensor" else f"band from {one['what']}"
+        typer.echo(f"a {where} would bring the standard deviation of {name} to {100 * ratio:.3g} %")
+    if advice == []:
+        typer.echo("no further sensor or band would narrow the parameters by more than 1 %")
 
 
 def _plain(estimate: Estimate) -> dict:
