@@ -68,13 +68,13 @@ class Branch:
         asked = np.asarray(omega, float)
         order = np.argsort(asked) if direction == "forward" else np.argsort(-asked)
         out = np.empty(asked.size)
-        last: float | None = None
+        last = np.nan
         for i in order:
-            found = self._at(asked[i])
+            found = self._at(float(asked[i]))
             if not found:
                 raise EstimationError(f"the curve of responses does not reach {asked[i]:g} rad/s")
-            out[i] = found[0] if last is None else min(found, key=lambda a: abs(a - last))
-            last = out[i]
+            out[i] = found[0] if np.isnan(last) else min(found, key=lambda a, at=last: abs(a - at))
+            last = float(out[i])
         return out
 
     def _at(self, omega: float) -> list[float]:

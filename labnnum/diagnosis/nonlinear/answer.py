@@ -147,7 +147,8 @@ def _decide(
     lead = (min(t.cost for t in rivals) - best.cost) / excess if rivals else np.inf
     total = (base.objective - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count
-    behind = (best.cost - found.general.cost) / excess if found.general is not None else -np.inf
+    general = _level(found.general, last) if found.general is not None else np.inf
+    behind = (last.cost - general) / max(1.0, misfit)
     reason = ""
     if total < limits.alarm:
         reason = UNCONFIRMED
@@ -169,7 +170,7 @@ def _decide(
         reason = "the best nonlinear law does not improve the prediction of data held out"
     named = () if reason else _all_named(laws, best, rivals)
     place = best.spot.place
-    if reason and found.general is not None and found.general.cost < best.cost:
+    if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
     linear = _linearised(joint, x, orbits, (*train, *test))
     alternatives = _alternatives(best, rivals, limits)
@@ -178,6 +179,11 @@ def _decide(
         named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[: len(train)]), tuple(linear[len(train) :]), _curves(found, best), found, tuple(laws), misfit,
     )  # fmt: skip
+
+
+def _level(t: Tried, other: Tried) -> float:
+    """Cost of a fit, raised to as many values as the other's."""
+    return t.cost * other.made.count / t.made.count
 
 
 MISFIT = 3.0

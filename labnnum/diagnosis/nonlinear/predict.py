@@ -20,7 +20,7 @@ def padded(recording: Recording, top: float, rest: float = 0.02) -> Run:
     """
     from scipy.fft import next_fast_len
 
-    n = 2 * next_fast_len(int(np.ceil(recording.n_samples * (1 + rest) / 2)), real=True)
+    n = 2 * int(next_fast_len(int(np.ceil(recording.n_samples * (1 + rest) / 2)), real=True) or 0)
     data = np.zeros((len(recording.channels), n))
     data[:, : recording.n_samples] = recording.data
     spectra = np.fft.rfft(data, axis=1) * (2 / n)

@@ -50,6 +50,8 @@ class Lines:
     sigma: NDArray[np.float64]
 
 
+WARM = 3
+"""Periods marched before Newton's method where nothing is known of the steady state."""
 EXACT = 30
 """Entries of the base model's vector up to which their tangents are marched."""
 
@@ -217,9 +219,10 @@ class Joint:
         out: list[Orbit | None] = []
         for run, steady, orbit in zip(self.runs, self.steady, orbits, strict=True):
             r = made[(run.period, run.rate)]
+            warm = 0
             if orbit is None:
-                orbit = steady.guess(r, np.zeros((steady.n, self.k)))
-            out.append(steady.settle(r, p, orbit, steps))
+                orbit, warm = steady.guess(r, np.zeros((steady.n, self.k))), WARM
+            out.append(steady.settle(r, p, orbit, steps + warm, warm=warm))
         return out
 
     def predict(self, x: NDArray, orbits: Sequence[Orbit | None]) -> list[NDArray[np.complex128]]:
@@ -256,8 +259,7 @@ class Joint:
     @staticmethod
     def _real(a: NDArray) -> NDArray[np.float64]:
         """(..., n) complex to (..., 2 n) real, so that squares sum to 2 |a|^2 / E|error|^2."""
-        a = a * np.sqrt(2.0)
-        return np.concatenate([a.real, a.imag], axis=-1)
+        return np.sqrt(2.0) * np.concatenate([np.real(a), np.imag(a)], axis=-1)
 
     def parts(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, NDArray]:
         """Whitened residual (n_out, N) and marginalised columns (n_out, n, N)."""

@@ -101,7 +101,7 @@ def resampled(run: Run) -> Run:
     from scipy.fft import next_fast_len
 
     least = int(np.ceil(ROOM * np.flatnonzero(run.excited)[-1] / 2))
-    n = 2 * next_fast_len(max(least, 32), real=True)
+    n = 2 * int(next_fast_len(max(least, 32), real=True) or 0)
     if n >= run.period:
         return run
     keep = slice(0, n // 2 + 1)

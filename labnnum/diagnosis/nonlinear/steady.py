@@ -141,11 +141,20 @@ class Steady:
         memory = np.zeros((self.k, 2))
         return Orbit(x, time[-1].copy(), memory, force, time, motion)
 
-    def settle(self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = 3e-4) -> Orbit:
-        """Newton's method from `orbit` to the steady state with laws' parameters p (k, N_P)."""
+    def settle(
+        self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = 3e-4, warm: int = 0
+    ) -> Orbit:
+        """Newton's method from `orbit` to the steady state with laws' parameters p (k, N_P), after `warm` periods."""
         made = self.prepare(r)
         m = made.w.shape[1]
-        for _ in range(steps):
+        for turn in range(steps):
+            if turn < warm:
+                one = self._march(made, self.source(r, made, orbit.force), p, orbit)
+                if not np.isfinite(one.state).all():
+                    return replace(orbit, closing=np.inf)
+                x, f, memory = _parts(one.state, m, self.k)
+                orbit = Orbit(x, f, memory, self.to_lines(one.time), one.time, one.motion, 1.0, one.bad)
+                continue
             chord = orbit.inverse is not None and orbit.inverse.shape[0] == 2 * m + 3 * self.k and orbit.closing < 0.02
             source = self.source(r, made, orbit.force)
             one = self._march(made, source, p, orbit, homogeneous=not chord)
@@ -248,7 +257,7 @@ class Steady:
             return -law * push / (1 + law * r.g[0])
         loop = np.moveaxis(law[:, None] * r.g, 2, 0) + np.eye(self.k)
         right = -np.moveaxis(law * push, (0, 1, 2), (2, 1, 0))
-        return np.moveaxis(np.linalg.solve(loop, right), (0, 1, 2), (2, 1, 0))
+        return np.asarray(np.moveaxis(np.linalg.solve(loop, right), (0, 1, 2), (2, 1, 0)), complex)
 
     def _march(
         self, made: _Prepared, source: NDArray, p: NDArray, orbit: Orbit, *, homogeneous: bool = False,
@@ -300,9 +309,9 @@ def _held(omega: NDArray, zeta: NDArray, step: float) -> tuple[NDArray, NDArray,
 def _closing(phi: NDArray) -> NDArray[np.float64]:
     """(I - phi)^-1: from the gap at the end of the period to the change of its start."""
     try:
-        return np.linalg.inv(np.eye(phi.shape[0]) - phi)
+        return np.asarray(np.linalg.inv(np.eye(phi.shape[0]) - phi), float)
     except np.linalg.LinAlgError:
-        return np.linalg.pinv(np.eye(phi.shape[0]) - phi)
+        return np.asarray(np.linalg.pinv(np.eye(phi.shape[0]) - phi), float)
 
 
 def _state(orbit: Orbit) -> NDArray[np.float64]:
