@@ -114,6 +114,7 @@ def _cases() -> dict[str, Callable[[], Case]]:
         e = EXAMPLES[key]()
         e = Example(e.structure, e.outputs, e.inputs, e.bands, samples or e.samples)
         name = key.replace("yang-brown", "yang") + (f"-{samples}" if samples else "")
+        name = "kabe-undamped" if key == "kabe" else name
         return of_example(name, title, e, published, where, features)
 
     return {
@@ -129,7 +130,7 @@ def _cases() -> dict[str, Callable[[], Case]]:
         "truck-5-3frf": lambda: _truck(
             _ALL, 3, _zip(_FIVE, "1.50 0.79 1.58 2.47 2.03", "17.72 10.72 20.47 20.66 13.61"), "table 4.1"
         ),
-        "kabe": lambda: named("kabe", "Kabe, undamped", _zip("k1 k5", "2.3 5.8", "31.9 46.9"), "section 5.2",
+        "kabe-undamped": lambda: named("kabe", "Kabe, undamped", _zip("k1 k5", "2.3 5.8", "31.9 46.9"), "section 5.2",
                               features="sphere"),
         "kabe-damped": lambda: named("kabe-damped", "Kabe, damped", _zip("k1 k5", "0.4 2.7", "11.9 40.0"),
                                      "section 5.2"),
