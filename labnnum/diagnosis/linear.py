@@ -103,19 +103,11 @@ class Task:
     counts: Mapping[str, int] = field(default_factory=dict)
     """How many terms each mechanism has: a name that may act in many places matches by chance more often."""
 
-    def down(self, terms: Sequence[Term], x: NDArray, first: int = 0, ceiling: float = np.inf) -> Fit:
-        """Fit the broadened data from rung `first` to the finest, then the thinned lines.
-
-        A fit that is above `ceiling` after a few steps is left there.
-        """
+    def down(self, terms: Sequence[Term], x: NDArray, first: int = 0) -> Fit:
+        """Fit the broadened data from rung `first` to the finest, then the thinned lines."""
         rough = x
         for level in self.ladder[first:]:
             rough = fit(self.engine, level, terms, self.scatter, rough, steps=8, tolerance=1.0).point.vector()
-        if np.isfinite(ceiling):
-            made = fit(self.engine, self.coarse, terms, self.scatter, rough, steps=6)
-            if made.converged or made.objective > ceiling:
-                return made
-            rough = made.point.vector()
         return fit(self.engine, self.coarse, terms, self.scatter, rough, steps=20 if terms else 40)
 
     def refined(self, made: Fit, steps: int = 12) -> Fit:
@@ -219,7 +211,11 @@ def _simplest(found: Sequence[Candidate], limits: Limits) -> Candidate:
 
 
 class _Race:
-    """Candidates for one more term, fitted one after another; who falls far behind is not carried on."""
+    """Candidates for one more term, fitted one after another.
+
+    None is given up halfway: on sharp peaks the right one may stand a thousand times above the leader until its last
+    steps.
+    """
 
     def __init__(self, task: Task, before: Candidate) -> None:
         self.task, self.before = task, before
@@ -236,9 +232,8 @@ class _Race:
         terms = (*before.terms, lead.term)
         old = _afresh(task.engine, before) if rung == 0 else before.fit.point
         x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
-        ceiling = 8.0 * self.leader.fit.objective + 500.0 if self.found else np.inf
         rung = len(task.ladder) if rung is None else rung
-        self.found.append(task.priced(terms, task.down(terms, x, rung, ceiling)))
+        self.found.append(task.priced(terms, task.down(terms, x, rung)))
 
 
 def _afresh(engine: Engine, before: Candidate) -> Point:
@@ -267,8 +262,8 @@ def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> 
         race.enter(lead, 1)
     for lead in (*fine, *(_faint(x) for x in fine[:3])):
         race.enter(lead)
-    for lead in (x for x in rough[:3] if x.term.n in (2, 3)):  # one parameter needs no second start
-        for p in lead.others:
+    for lead in (x for x in rough[:4] if x.term.n in (1, 2, 3)):
+        for p in lead.others[: lead.term.n + 1]:  # the more parameters, the more starts
             race.enter(replace(lead, start=p), 0)
             race.enter(replace(lead, start=p), 2)
     if race.found:

@@ -154,7 +154,7 @@ def _apart(starts: NDArray, order: NDArray, n: int = 4) -> list[int]:
     size = np.log(np.maximum(np.abs(starts), 1e-300))
     kept: list[int] = []
     for i in order:
-        ratios = [np.abs(size[i] - size[j]) for j in kept]
+        ratios = [np.where(starts[i] * starts[j] < 0, np.inf, np.abs(size[i] - size[j])) for j in kept]
         if all(r.size and r.max() > np.log(3.1) for r in ratios):
             kept.append(int(i))
         if len(kept) == n:

@@ -40,7 +40,7 @@ class Limits:
     improve: float = 0.6
     improve_further: float = 0.8
     doubt: float = 0.75
-    remains: float = 0.002
+    remains: float = 5e-5
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.base import SIZES, TRANSLATIONS, Change, Mechanism, Place, Site, Term, amount, signed
+from labnnum.mechanisms.base import SIZES, TRANSLATIONS, Change, Mechanism, Place, Site, Term, amount
 from labnnum.mechanisms.geometry import AXES, dof_rows
 from labnnum.mechanisms.laws import Spring
 
@@ -57,8 +57,8 @@ class AxialPreload(Mechanism):
         scale = site.scale(Spring(("tension",), ("N",)), vector[:, keep] * np.sqrt(value[keep]), np.zeros(1), 0)
         if not np.isfinite(scale):
             return
-        parameter = amount("tension", "N", scale, positive=False)
-        starts = scale * signed(SIZES, positive=False)[:, None]
+        parameter = amount("tension", "N", scale, lower=-1.5 * scale)  # it buckles about there
+        starts = scale * np.concatenate([SIZES, [3.0], -SIZES[:-1], [-0.5, -0.7, -0.85]])[:, None]
         yield Term(self, Place("global", "structure"), (parameter,), starts, data={"change": Tension(total)})
 
     def sense(self, term: Term, p: np.ndarray) -> str | None:
