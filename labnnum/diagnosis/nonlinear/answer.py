@@ -97,25 +97,40 @@ def answer(
     progress("comparing places and laws")
     tried = refined(found, scatter, _rivals(found, every, scatter))
     found = replace(found, tried=tuple(tried))
-    laws = _chain(found, every, scatter, limits, progress)
+    laws = _chain(found, every, train, test, scatter, limits, progress)
     return _decide(found, laws, train, test, scatter, limits)
 
 
+FURTHER = 0.97
+"""Part of the held-out error so far that one more law must bring it below."""
+
+
 def _chain(
-    found: Study, every: Sequence[Spot], scatter: Scatter, limits: Limits, progress: Callable[[str], None]
-) -> list[Tried]:
-    """The best law, then one more at a time while it removes a good share of what is left; at last a general one."""
+    found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    limits: Limits, progress: Callable[[str], None],
+) -> list[Tried]:  # fmt: skip
+    """The best law, then one more at a time while the prediction of held-out runs gains; at last a general one."""
     laws = [found.best]
-    while len(laws) < 3 and laws[-1].made.data_part > 1.3 * laws[-1].made.count:
+    if laws[0].made.data_part < 1.3 * laws[0].made.count:
+        return laws
+
+    def held_out(t: Tried) -> float:
+        joint, (x, orbits) = _on(found, t, train, test, scatter)
+        return _errors_of(joint, x, orbits, len(train))[1]
+
+    error = held_out(laws[0])
+    refused = False
+    for general in (False, False, True):
+        if refused and not general:
+            continue
         progress(f"looking for nonlinear law {len(laws) + 1}")
-        more = further(found, laws[-1], every, scatter, limits.further)
-        if more is None:
-            break
+        more = further(found, laws[-1], every, scatter, limits.further, general=general)
+        told = held_out(more) if more is not None else np.inf
+        if more is None or told > FURTHER * error:
+            refused = True
+            continue
         laws.append(more)
-    if laws[-1].made.data_part > 2.0 * laws[-1].made.count:
-        rest = further(found, laws[-1], every, scatter, limits.further, general=True)
-        if rest is not None:
-            laws.append(rest)
+        error = told
     return laws
 
 

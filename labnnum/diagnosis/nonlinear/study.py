@@ -310,8 +310,8 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     return sorted([*done, *rest], key=lambda t: t.cost)
 
 
-GAIN, GAIN_GENERAL = 0.3, 0.1
-"""Share of what the laws so far leave beyond noise that one more must remove: to be named, and without a name."""
+GAIN = 0.1
+"""Share of what the laws so far leave beyond noise that one more must remove."""
 
 
 def further(
@@ -363,7 +363,7 @@ def further(
     excess = max(1.0, best.made.data_part / best.made.count)
     gain = (made.objective - best.cost) / excess
     left = max(made.objective - made.count, 1.0) / excess
-    return best if gain > max(alarm, (GAIN_GENERAL if general else GAIN) * left) else None
+    return best if gain > max(alarm, GAIN * left) else None
 
 
 def _with_one_more(o: Orbit | None) -> Orbit | None:
