@@ -259,7 +259,7 @@ def _decide(
     base = selection.chain[0]
     stage = selection.stages[0] if selection.stages else ()
     data = data_of(choose_lines(train), scatter)
-    lines = choose_lines(train)
+    lines = choose_lines(train, 400)  # here every peak must be met, whatever the number of rows
     measured = all(o.kind != "frf" for o in observations)
     plain_base = trimmed(engine, lines, base.fit, scatter)
     base_error = _errors(engine, plain_base, train, test)
@@ -335,7 +335,7 @@ def _worthwhile(
     for i, candidate in enumerate(selection.chain[1:]):
         made = trimmed(engine, lines, candidate.fit, scatter)
         told = errors(made)
-        if i and told[1] > limits.improve_further * error[1]:
+        if i and told[1] > min(limits.improve_further * error[1], limits.improve ** (i + 1) * base[1][1]):
             break
         chain.append(candidate)
         plain, error = made, told
