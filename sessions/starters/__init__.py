@@ -146,6 +146,8 @@ STRUCTURES: dict[str, Starter] = {
         band=(10.0, 1000.0),
         level=2.0,
         range=5.0,
+        hit=5.0,
+        tip="hard rubber",
         arrays={"structure.npz": _strip()},
     ),
 }
