@@ -62,11 +62,13 @@ def test_a_right_answer_is_called_right_and_silence_wrong(tmp_path, monkeypatch)
 
     for tool, right in ((clever, True), (silent, False)):
         monkeypatch.setattr(dissertation, "load", lambda _, tool=tool: tool)
-        (row,) = dissertation.run(tmp_path, names=["beam-clamp"])
+        (row,) = dissertation.run(tmp_path / tool.__name__, names=["beam-clamp"])
         assert row["right"] is right
         assert row["visibility"] > 3
     (row,) = dissertation.run(tmp_path, names=["frame-sound"])
     assert row["right"]
+    monkeypatch.setattr(dissertation, "load", lambda _: None)
+    assert dissertation.run(tmp_path, names=["frame-sound"]) == [row]
     assert json.loads((tmp_path / "dissertation.json").read_text())[0]["case"] == "frame-sound"
 
 

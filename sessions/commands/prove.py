@@ -142,7 +142,7 @@ def _dissertation(console: Console, out: Path, jobs: int, tool: str, only: list[
             row["what"],
             f"{row['visibility']:.1f}",
             row["said"],
-            f"{row['base_over_extended']:.1f}",
+            "-" if row["base_over_extended"] is None else f"{row['base_over_extended']:.1f}",
             "yes" if row["right"] else "NO",
         )
         for row in rows

@@ -17,7 +17,7 @@ from sessions.prove.answers import describe, held_out_ratio, judge
 from sessions.prove.cases import Case, sound_twin
 from sessions.prove.folder import write_case
 from sessions.prove.jobs import each
-from sessions.prove.measures import VISIBLE
+from sessions.prove.measures import VISIBLE, plain
 from sessions.prove.referee import misfit
 from sessions.prove.run import TOOL, load
 from sessions.prove.truth.dissertation import EFFECTS, Effect
@@ -54,12 +54,13 @@ def _of_kind(kind: str) -> float:
 
 
 def answer(effect: Effect, out: Path, tool: str = TOOL) -> dict[str, Any]:
-    """Write the case into `out`, have it diagnosed there, and say what the answer was worth."""
+    """Write the case into `out`, have it diagnosed there if it was not yet, and say what the answer was worth."""
     case = case_of(effect)
     recordings = write_case(case, out / "cases" / effect.name)
     target = out / "answers" / effect.name
     target.mkdir(parents=True, exist_ok=True)
-    load(tool)(recordings, out / "cases" / effect.name / "model.toml", target)
+    if not (target / "diagnosis.json").is_file():
+        load(tool)(recordings, out / "cases" / effect.name / "model.toml", target)
     said = json.loads((target / "diagnosis.json").read_text(encoding="utf-8"))
     return _row(effect, case, said, visibility(case))
 
@@ -81,7 +82,7 @@ def _row(effect: Effect, case: Case, said: dict[str, Any], visible: float) -> di
         "what": (effect.make.__doc__ or "").splitlines()[0],
         "said": describe(said),
         "right": right,
-        "base_over_extended": held_out_ratio(said),
+        "base_over_extended": plain(held_out_ratio(said)),
         "parameter_errors": errors,
         "visibility": visible,
         "fit": said.get("fit"),
@@ -103,8 +104,8 @@ def run(
     rows: dict[str, dict[str, Any]] = {}
     for effect, row in each(partial(answer, out=out, tool=tool), todo, jobs):
         rows[effect.name] = row
+        found = [rows[e.name] for e in todo if e.name in rows]
+        (out / "dissertation.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
         if step is not None:
             step(len(rows), len(todo))
-    found = [rows[e.name] for e in todo]
-    (out / "dissertation.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    return found
+    return [rows[e.name] for e in todo]
