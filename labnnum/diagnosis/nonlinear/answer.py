@@ -164,19 +164,20 @@ def _decide(
     misfit = last.made.data_part / last.made.count
     general = _level(found.general, last) if found.general is not None else np.inf
     behind = (last.cost - general) / max(1.0, misfit)
-    reason = ""
-    if total < limits.alarm:
-        reason = UNCONFIRMED
-    elif misfit > MISFIT and misfit > UNEXPLAINED * base.objective / base.count:
-        reason = "what the best nonlinear law leaves is far more than noise"
-    elif behind > max(limits.alarm, limits.behind * total):
-        reason = "a general law of motion and speed explains far more than any named one"
-    elif lead < limits.name:
-        reason = "two nonlinear laws explain it equally well"
     joint, made = _on(found, last, train, test, scatter)
     x, orbits = made
     base_error = _errors(found, train, test, None, scatter)
     extended_error = _errors_of(joint, x, orbits, len(train))
+    nearly = extended_error[1] < NEARLY * base_error[1]
+    reason = ""
+    if total < limits.alarm:
+        reason = UNCONFIRMED
+    elif misfit > MISFIT and not nearly:
+        reason = "what the best nonlinear law leaves is far more than noise"
+    elif behind > max(limits.alarm, limits.behind * total) and not nearly:
+        reason = "a general law of motion and speed explains far more than any named one"
+    elif lead < limits.name:
+        reason = "two nonlinear laws explain it equally well"
     if (
         not reason
         and extended_error[1] > limits.improve * base_error[1]
@@ -203,8 +204,8 @@ def _level(t: Tried, other: Tried) -> float:
 
 MISFIT = 3.0
 """Chi-square per value above which nothing is called explained,"""
-UNEXPLAINED = 0.02
-"""unless it is less than this of what the base leaves."""
+NEARLY = 0.1
+"""unless the held-out error falls to this of the base's: what is left is then a small correction to the law."""
 
 
 def _all_named(laws: Sequence[Tried], best: Tried, rivals: Sequence[Tried]) -> tuple[Named, ...]:
