@@ -78,7 +78,7 @@ def sources(entries: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
     return [folder / str(e["file"]) for e in entries if e.get("file")]
 
 
-def _instances(loaded: Any) -> list[Mechanism]:
+def _instances(loaded: Any) -> list[Any]:
     several = loaded if isinstance(loaded, list | tuple) else [loaded]
     return [m() if inspect.isclass(m) else m for m in several]
 

@@ -267,6 +267,7 @@ def _decide(
     selection, plain_final, extended_error = _worthwhile(
         engine,
         lines,
+        data,
         selection,
         limits,
         scatter,
@@ -326,20 +327,54 @@ def _alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> 
 
 
 def _worthwhile(
-    engine: Engine, lines: Frf, selection: Selection, limits: Limits, scatter: Scatter,
+    engine: Engine, lines: Frf, data: Data, selection: Selection, limits: Limits, scatter: Scatter,
     base: tuple[Fit, tuple[float, float]], errors: Callable[[Fit], tuple[float, float]],
 ) -> tuple[Selection, Fit, tuple[float, float]]:  # fmt: skip
     """The chain as far as each further mechanism improves the prediction; its model as used, and its errors."""
     chain = list(selection.chain[:1])
+    base_terms = chain[0].terms
+    idle: list[bool] = []
     plain, error = base
     for i, candidate in enumerate(selection.chain[1:]):
         made = trimmed(engine, lines, candidate.fit, scatter)
         told = errors(made)
         if i and told[1] > min(limits.improve_further * error[1], limits.improve ** (i + 1) * base[1][1]):
             break
+        idle.append(told[1] > 0.95 * error[1])
         chain.append(candidate)
         plain, error = made, told
+    if len(chain) > 2 and any(idle[:-1]):
+        leaner = _without_idle(engine, data, chain, idle, scatter)
+        made = trimmed(engine, lines, leaner.fit, scatter)
+        told = errors(made)
+        if told[1] <= 1.1 * error[1]:
+            kept = [i for i, useless in enumerate(idle) if not useless or i == len(idle) - 1]
+            stages = tuple(selection.stages[i] for i in kept)
+            steps = [_cut(leaner, len(base_terms) + i + 1) for i in range(len(kept))]
+            return replace(selection, chain=(chain[0], *steps[:-1], leaner), stages=stages), made, told
     return replace(selection, chain=tuple(chain), stages=selection.stages[: max(len(chain) - 1, 1)]), plain, error
+
+
+def _without_idle(
+    engine: Engine, data: Data, chain: Sequence[Candidate], idle: Sequence[bool], scatter: Scatter
+) -> Candidate:
+    """The last model without the terms that brought no better prediction when they came, fitted anew."""
+    last, n = chain[-1], len(chain[0].terms)
+    terms, values, at = [], [], 0
+    for i, term in enumerate(last.terms):
+        p = last.fit.point.terms[at : at + term.n]
+        at += term.n
+        if i < n or i == len(last.terms) - 1 or not idle[i - n]:
+            terms.append(term)
+            values.append(p)
+    point = replace(last.fit.point, terms=np.concatenate([np.empty(0), *values]))
+    made = fit(engine, data, terms, scatter, point.vector(), steps=25)
+    return Candidate(tuple(terms), made, last.cost)
+
+
+def _cut(candidate: Candidate, n: int) -> Candidate:
+    """The candidate with its first `n` terms named, its fit as it is."""
+    return replace(candidate, terms=candidate.terms[:n])
 
 
 def _missing(

@@ -28,7 +28,8 @@ class Scatter:
     `frequency`, `residue`, `shape`, `gain`: relative; `damping`: of the logarithm; `phase`: of a channel, in rad, both
     constant and growing to that much at the top of the band; `complexity`: imaginary part of a shape; `remainder`:
     relative, of what modes outside the band contribute; `floor`: relative residual that nothing explains;
-    `suspension`: relative change of a free structure's rigid-body response at the lowest line.
+    `suspension`: relative change of a free structure's rigid-body response at the lowest line; `offset`: what a
+    channel's offset leaves of a hit at the lowest line, of its row's median.
     """
 
     frequency: float = 0.003
@@ -41,6 +42,7 @@ class Scatter:
     remainder: float = 0.1
     floor: float = 0.003
     suspension: float = 0.1
+    offset: float = 0.1
     trim: float = 0.0
     """Where positive, frequencies and loads are free within so many standard deviations and nothing is marginalised:
     a model as it would be used, trimmed within what a sound one needs."""
@@ -221,6 +223,10 @@ class Problem:
             low = np.min(np.abs(self.data.s.imag))
             held = sc.suspension * r.rigid * r.lift * (low / self.data.s) ** 2
             parts.append(np.stack([held, 0.5j * held]))
+        if self.data.s.real.min() > 0:  # hits: an offset that was not taken off whole stands as 1/s in each row
+            size = np.median(np.abs(self.data.value), axis=2, keepdims=True)
+            offset = sc.offset * size * np.min(np.abs(self.data.s)) / self.data.s
+            parts.append(np.stack([offset, 1j * offset]))
         return self._rows(np.concatenate(parts))
 
     def value(self, x: NDArray, like: _Normal) -> float:

@@ -242,7 +242,7 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     u, y = spectra[:, first.inputs[0]], spectra[:, list(first.outputs)]
     power = np.sum(np.abs(u) ** 2, axis=0)
     h = np.sum(y * np.conj(u)[:, None], axis=0) / power
-    frequency = np.fft.rfftfreq(n, 1 / first.rate)
+    frequency = np.arange(n // 2 + 1) * (first.rate / n)
     if len(pieces) >= 3:
         left = y - h * u[:, None]
         variance = _smooth(np.sum(np.abs(left) ** 2, axis=0) / (len(pieces) - 1), 9) / power
