@@ -286,15 +286,18 @@ def _decide(
     if verdict == "unexplained" and not _missing(engine, lines, selection, limits, scatter, data, train, test,
                                                  base_error, extended_error, measured):  # fmt: skip
         verdict = "consistent"
+    located = _located(selection)
+    noise = float(np.sqrt(np.mean(np.sum(test.variance, axis=2) / np.sum(np.abs(test.value) ** 2, axis=2))))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    if verdict == "consistent" and measured and base_error[1] > max(limits.sound, 3 * noise):
+        verdict = "unexplained"
+        reason = f"the updated model misses the data held out by {base_error[1]:.0%}, and nothing tried explains it"
     if gated:
         named = (*gated, *named)
         verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
     place = named[0].place if named else None
     if verdict == "unexplained":
         place = _best_place(selection)
-    located = _located(selection)
     alternatives = _alternatives(engine, stage, final, test, limits, named)
-    noise = float(np.sqrt(np.mean(np.sum(test.variance, axis=2) / np.sum(np.abs(test.value) ** 2, axis=2))))  # pyright: ignore[reportArgumentType, reportCallIssue]
     source = final if named else base
     n = engine.theta0.size
     std = np.sqrt(np.diag(source.fit.covariance)[:n])
@@ -454,8 +457,12 @@ def _named(made: Fit, i: int, confidence: float) -> Named:
     return Named(term, made.point.vector()[at], np.sqrt(np.diag(made.covariance)[at]), confidence)
 
 
-def _best_place(selection: Selection) -> Place:
-    law, best = selection.general, selection.chain[1]
+def _best_place(selection: Selection) -> Place | None:
+    law = selection.general
+    if len(selection.chain) < 2:
+        found = _located(selection)
+        return found[0][0] if found else None
+    best = selection.chain[1]
     if law is not None and law.fit.objective < best.fit.objective:
         return law.last.place
     return best.last.place

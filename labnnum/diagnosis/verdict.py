@@ -27,6 +27,7 @@ class Limits:
         two, and so on.
     improve_further: the same for each further mechanism after the one before.
     doubt: the same for "unexplained".
+    sound: held-out error that no sound model leaves, unless noise makes a third of it.
     remains: part of the base's objective that is no misfit, however far it stands above the noise.
     """
 
@@ -41,6 +42,7 @@ class Limits:
     improve_further: float = 0.8
     doubt: float = 0.75
     remains: float = 5e-5
+    sound: float = 0.15
 
 
 @dataclass(frozen=True, eq=False)
