@@ -104,7 +104,7 @@ def test_a_tuned_network_beats_scipys_with_one_length():
 
 
 def test_fewer_centres_is_least_squares():
-    y = Y + 0.01 * RNG.standard_normal(Y.shape)
+    y = Y + 0.01 * np.random.default_rng(0).standard_normal(Y.shape)
     net = fit_tuned(X, y, centres=30, degree=1)
     assert net.centres.shape == (30, 4)
     z = net.inputs(X)
