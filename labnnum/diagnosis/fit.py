@@ -328,6 +328,8 @@ def _step(problem: Problem, here: _Normal, x: NDArray, damping: float) -> NDArra
     scaled = here.hessian / np.outer(d, d)
     scaled = scaled + damping * np.eye(d.size)
     step = np.zeros_like(x)
+    if not (np.isfinite(scaled).all() and np.isfinite(here.gradient).all()):
+        return step  # a response beyond all numbers leads nowhere
     pick = np.ix_(free, free)
     step[free] = np.linalg.lstsq(scaled[pick], (here.gradient / d)[free], rcond=1e-13)[0] / d[free]
     return step / max(1.0, float(np.max(np.abs(step) / problem.reach)))
@@ -335,7 +337,7 @@ def _step(problem: Problem, here: _Normal, x: NDArray, damping: float) -> NDArra
 
 def _covariance(hessian: NDArray, problem: Problem, x: NDArray) -> tuple[NDArray, float]:
     weak = 1.0 / np.clip(problem.reach, 1e-100, 1e30) ** 2  # of what the data do not tell, its range tells
-    hessian = hessian.copy()
+    hessian = np.nan_to_num(hessian, nan=0.0, posinf=0.0, neginf=0.0)
     np.fill_diagonal(hessian, np.maximum(np.diag(hessian), weak))
     d = np.sqrt(np.diag(hessian))
     scaled = hessian / np.outer(d, d)

@@ -411,9 +411,12 @@ def _step(
     at_low = (x <= joint.low) & (gradient < 0)
     at_high = (x >= joint.high) & (gradient > 0)
     free = ~(at_low | at_high)
-    d = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    felt = np.diag(hessian) > 1e-200
+    d = np.where(felt, np.sqrt(np.where(felt, np.diag(hessian), 1.0)), np.inf)
     scaled = hessian / np.outer(d, d) + damping * np.eye(d.size)
     step = np.zeros_like(x)
+    if not (np.isfinite(scaled).all() and np.isfinite(gradient).all()):
+        return x  # a response beyond all numbers leads nowhere
     step[free] = np.linalg.lstsq(scaled[np.ix_(free, free)], (gradient / d)[free], rcond=1e-13)[0] / d[free]
     own = np.maximum(np.abs(x[joint.n_base :] / joint.scale[joint.n_base :]), 0.05)
     most = reach.copy()
