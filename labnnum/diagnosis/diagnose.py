@@ -346,28 +346,31 @@ def _worthwhile(
         idle.append(told[1] > 0.95 * error[1])
         chain.append(candidate)
         plain, error = made, told
-    if len(chain) > 2 and any(idle[:-1]):
-        leaner = _without_idle(engine, data, chain, idle, scatter)
+    alone = [True] * (len(idle) - 1) + [False]
+    for drop in (alone, [*idle[:-1], False]) if len(chain) > 2 else ():
+        if not any(drop):
+            continue
+        leaner = _without(engine, data, chain, drop, scatter)
         made = trimmed(engine, lines, leaner.fit, scatter)
         told = errors(made)
         if told[1] <= 1.1 * error[1]:
-            kept = [i for i, useless in enumerate(idle) if not useless or i == len(idle) - 1]
+            kept = [i for i, dropped in enumerate(drop) if not dropped]
             stages = tuple(selection.stages[i] for i in kept)
             steps = [_cut(leaner, len(base_terms) + i + 1) for i in range(len(kept))]
             return replace(selection, chain=(chain[0], *steps[:-1], leaner), stages=stages), made, told
     return replace(selection, chain=tuple(chain), stages=selection.stages[: max(len(chain) - 1, 1)]), plain, error
 
 
-def _without_idle(
-    engine: Engine, data: Data, chain: Sequence[Candidate], idle: Sequence[bool], scatter: Scatter
+def _without(
+    engine: Engine, data: Data, chain: Sequence[Candidate], drop: Sequence[bool], scatter: Scatter
 ) -> Candidate:
-    """The last model without the terms that brought no better prediction when they came, fitted anew."""
+    """The last model without the terms marked in `drop`, one flag a step of the chain, fitted anew."""
     last, n = chain[-1], len(chain[0].terms)
     terms, values, at = [], [], 0
     for i, term in enumerate(last.terms):
         p = last.fit.point.terms[at : at + term.n]
         at += term.n
-        if i < n or i == len(last.terms) - 1 or not idle[i - n]:
+        if i < n or not drop[i - n]:
             terms.append(term)
             values.append(p)
     point = replace(last.fit.point, terms=np.concatenate([np.empty(0), *values]))
