@@ -49,6 +49,7 @@ def test_half_point_is_where_half_are_found():
     found = rng.random(600) < 1 / (1 + np.exp(-18 * (x - 0.4)))
     assert half_point(x, found) == pytest.approx(0.4, abs=0.03)
     assert np.isnan(half_point([0.2, 0.8], [True, True]))
+    assert np.isnan(half_point([0.5, 0.6, 0.7, 0.8, 0.9], [True, True, True, True, False]))  # not where they lie
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,9 @@ def count(flags: Sequence[bool]) -> Share:
 
 
 def half_point(severity: Sequence[float], found: Sequence[bool]) -> float:
-    """Severity at which half are found, by logistic regression with a weak prior; NaN if all or none are.
+    """Severity at which half are found, by logistic regression with a weak prior.
+
+    NaN if all or none are, or if the cases do not tell: if the curve crosses half outside their severities.
 
     The prior (a normal slope about 10 per unit of severity, standard deviation 6) keeps small samples finite.
     """
@@ -70,7 +72,8 @@ def half_point(severity: Sequence[float], found: Sequence[bool]) -> float:
     p = np.array([-5.0, 10.0])
     for _ in range(60):
         p = p - np.linalg.solve(*_newton(p, x, y))
-    return float(-p[0] / p[1]) if p[1] > 0 else float("nan")
+    half = float(-p[0] / p[1]) if p[1] > 0 else float("nan")
+    return half if x.min() <= half <= x.max() else float("nan")
 
 
 def _newton(p: NDArray, x: NDArray, y: NDArray) -> tuple[NDArray, NDArray]:
