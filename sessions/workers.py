@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
+from importlib import import_module
 from multiprocessing import get_context
 
 from labnnum.errors import ConfigError
@@ -42,11 +43,11 @@ def _one_thread() -> None:
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
     try:
-        from distributed import Client
+        client_of = import_module("distributed").Client  # an extra, typed by nobody who has not installed it
     except ImportError:
         raise ConfigError("--scheduler needs the extra dask: pip install 'labnnum[dask]'") from None
     try:
-        client = Client(address, timeout="10s")
+        client = client_of(address, timeout="10s")
     except (OSError, TimeoutError) as error:
         raise ConfigError(f"--scheduler {address}: no scheduler answers there ({error})") from None
     with client:
