@@ -1,7 +1,6 @@
 """Lines: what a script demands, and what a real terminal does when it is silent, held or gone."""
 
 import os
-
 import time
 
 import pytest
