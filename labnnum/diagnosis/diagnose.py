@@ -23,8 +23,12 @@ from labnnum.frf import Frf
 from labnnum.mechanisms import CATALOGUE
 from labnnum.mechanisms.base import Mechanism, Place, Term
 from labnnum.mechanisms.extended import ExtendedStructure
-from labnnum.mechanisms.local_law import LocalLaw
+from labnnum.mechanisms.local_law import LocalLaw, PairLaw
+from labnnum.mechanisms.loose import LooseChannel, LooseSupport
 from labnnum.structures.base import Structure
+
+UNNAMED: tuple[Mechanism, ...] = (LocalLaw(), PairLaw(), LooseChannel(), LooseSupport())
+"""What may be missing without having a name."""
 
 
 def diagnose(
@@ -96,7 +100,7 @@ def diagnose(
         if whole is not None:
             return whole
     _, terms = all_terms(engine, where, catalogue)
-    _, general = all_terms(engine, where, (LocalLaw(),))
+    _, general = all_terms(engine, where, UNNAMED)
     measured = all(o.kind != "frf" for o in observations)
     selection = select(
         engine, train, terms, general, scatter, limits, measured_noise=measured, initial=initial, progress=progress
@@ -417,7 +421,7 @@ def _verdict(
     lead = _lead(stage, best) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
-        behind = (best.fit.objective - law.fit.objective) / max(excess, 1.0)
+        behind = (best.cost - law.cost) / max(excess, 1.0)
         if behind > max(limits.alarm, limits.behind * total):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
     left = final.fit.objective / (2 * data.value.size)
@@ -466,7 +470,7 @@ def _best_place(selection: Selection) -> Place | None:
         found = _located(selection)
         return found[0][0] if found else None
     best = selection.chain[1]
-    if law is not None and law.fit.objective < best.fit.objective:
+    if law is not None and law.cost < best.cost:
         return law.last.place
     return best.last.place
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.engine import Engine, Point, Response
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.point import Point, Response
 from labnnum.errors import LabnnumError
 from labnnum.mechanisms.base import Change, Term
 
@@ -86,6 +87,21 @@ class Fit:
         return self.point.theta.size
 
 
+def independence(residual: NDArray) -> float:
+    """Share of independent values among whitened residuals (rows, 2 n_f), real parts first, between 0 and 1.
+
+    What a model lacks is smooth in frequency: neighbouring lines repeat each other, and chi-squares over them are too
+    large by (1 + rho) / (1 - rho) at a lag-one correlation rho (Bartlett, 1935).
+    """
+    half = residual.shape[1] // 2
+    parts = residual.reshape(residual.shape[0], 2, half)
+    size = float(np.sum(parts**2))
+    if size == 0 or half < 3:
+        return 1.0
+    rho = float(np.sum(parts[..., 1:] * parts[..., :-1])) / size
+    return float(np.clip((1 - rho) / (1 + rho), 0.01, 1.0))
+
+
 @dataclass(frozen=True, eq=False)
 class _Normal:
     """Quadratic model of the objective about one point."""
@@ -96,6 +112,10 @@ class _Normal:
     gradient: NDArray
     hessian: NDArray
     nuisance: NDArray
+
+
+LOOSE = 40.0
+"""A loose channel's errors over the ordinary ones: shapes and gain by more than half of themselves."""
 
 
 class Problem:
@@ -190,7 +210,7 @@ class Problem:
         a = np.concatenate([a.real, a.imag], axis=-1)
         return a if a.ndim == 2 else np.moveaxis(a, 0, -1)
 
-    def _nuisance(self, r: Response) -> NDArray:
+    def _nuisance(self, r: Response, x: NDArray) -> NDArray:
         """Whitened columns (rows, 2 f, n) of what is marginalised, times their standard deviations."""
         sc, e = self.scatter, self.engine
         assert r.modal is not None
@@ -227,7 +247,35 @@ class Problem:
             size = np.median(np.abs(self.data.value), axis=2, keepdims=True)
             offset = sc.offset * size * np.min(np.abs(self.data.s)) / self.data.s
             parts.append(np.stack([offset, 1j * offset]))
-        return self._rows(np.concatenate(parts))
+        columns = self._rows(np.concatenate([*parts, *self._moved_supports(r, x)]))
+        for i in self._loose:
+            columns[self._rows_of(i)] *= LOOSE
+        return columns
+
+    @cached_property
+    def _loose(self) -> list[int]:
+        return [t.data["loose"] for t in self.terms if "loose" in t.data]
+
+    def _rows_of(self, channel: int) -> list[int]:
+        n_o, n_i = len(self.engine.outputs), len(self.engine.inputs)
+        if channel < n_o:
+            return [channel * n_i + j for j in range(n_i)]
+        return [o * n_i + channel - n_o for o in range(n_o)]
+
+    def _moved_supports(self, r: Response, x: NDArray) -> list[NDArray]:
+        """Columns (6, n_out, n_in, n_f) of each support that may move by itself, sized to the response."""
+        out = []
+        for term in self.terms:
+            if "moved" not in term.data:
+                continue
+            assert r.lift is not None
+            support, axis = term.data["moved"]
+            u = self.engine.imposed(support, axis, self.start.with_vector(x), self.data.s)[:, None] * r.lift
+            weight = 1.0 / self.data.sigma**2
+            size = np.sqrt(np.sum(weight * np.abs(r.value) ** 2) / max(np.sum(weight * np.abs(u) ** 2), 1e-300))
+            s = self.data.s / np.abs(self.data.s).max()
+            out.append(np.stack([a * size * f * u for f in (np.ones_like(s), s, s**2) for a in (1.0, 1j)]))
+        return out
 
     def value(self, x: NDArray, like: _Normal) -> float:
         """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
@@ -242,7 +290,7 @@ class Problem:
         resp = self.engine.response(point, self.terms, self.data.s, jacobian=jacobian, modal=True)
         r = self._rows(self.data.value - resp.value)
         j = None if resp.jacobian is None else self._rows(resp.jacobian)
-        return r, self._nuisance(resp), j
+        return r, self._nuisance(resp, x), j
 
     @staticmethod
     def _reduce(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:
@@ -254,6 +302,12 @@ class Problem:
         if left < 1e-9 * whole:  # a response so large that its own ordinary errors would explain anything
             left = whole
         return left, gram, inner
+
+    def left(self, x: NDArray) -> NDArray[np.float64]:
+        """Whitened residual (rows, 2 n_f) at `x` that neither noise nor the marginalised errors were asked to take."""
+        r, b, _ = self._parts(x, jacobian=False)
+        _, _, inner = self._reduce(r, b)
+        return r - np.einsum("rfn,rn->rf", b, inner)
 
     def normal(self, x: NDArray) -> _Normal:
         """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""

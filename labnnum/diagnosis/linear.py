@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, thin
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
@@ -190,11 +191,11 @@ def select(
             break
         stages.append(tuple(found))
         if stage == 0:
-            laws = _stage(replace(task, counts={}), general, chain[0], 4) if general else []
+            laws = _unnamed(task, general, chain[0], found[0])
             law = laws[0] if laws else None
-            for c in [*found, *laws[:1]]:
+            for c in [*found, *laws]:
                 place = c.last.place
-                gains[place] = max(gains.get(place, 0.0), base.objective - c.fit.objective)
+                gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)
         best = _simplest(found, limits)
         excess = max(dispersion(best.fit, data), 1.0)
         gain = (chain[-1].cost - best.cost) / excess
@@ -202,6 +203,30 @@ def select(
             break
         chain.append(best)
     return Selection(tuple(chain), tuple(stages), law, gains)
+
+
+def _unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candidate) -> list[Candidate]:
+    """The best unnamed laws, best first: smooth local ones, loose ones, and pairs where nothing else is enough."""
+    plain = replace(task, counts={})
+    found = _stage(plain, [t for t in general if t.width == 1], base, 4)[:2]
+    found += _loosened(plain, [t for t in general if t.width == 0], base)
+    best = min([*found, named], key=lambda c: c.cost)
+    pairs = [t for t in general if t.width == 2]
+    if pairs and best.fit.objective > task.limits.unsettled * 2 * task.data.value.size:
+        found += _stage(plain, pairs, base, 4)[:2]
+    return sorted(found, key=lambda c: c.cost)
+
+
+def _loosened(task: Task, loose: Sequence[Term], base: Candidate, n: int = 2) -> list[Candidate]:
+    """Terms without parameters, each fitted from the base and afresh: the base may have bent to what they excuse."""
+    found = []
+    nominal = _afresh(task.engine, base).vector()
+    for term in loose:
+        terms = (*base.terms, term)
+        made = [task.down(terms, base.fit.point.vector(), len(task.ladder)), task.down(terms, nominal)]
+        found.append(task.priced(terms, min(made, key=lambda f: f.objective)))
+    best = sorted(found, key=lambda c: c.cost)[:n]
+    return [task.priced(c.terms, task.refined(c.fit)) for c in best]
 
 
 def _simplest(found: Sequence[Candidate], limits: Limits) -> Candidate:
@@ -244,7 +269,7 @@ def _afresh(engine: Engine, before: Candidate) -> Point:
 
 
 def _count(term: Term) -> int:
-    return max(term.n, 1)
+    return term.data.get("price", max(term.n, 1))
 
 
 def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> list[Candidate]:
