@@ -15,6 +15,7 @@ from labnnum.diagnosis.gates import drifted, pass_gates
 from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion, select
 from labnnum.diagnosis.observe import Observation, pool
 from labnnum.diagnosis.places import all_terms, places_of
+from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import broaden
 from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
@@ -222,17 +223,21 @@ def trimmed(engine: Engine, frf: Frf, made: Fit, scatter: Scatter) -> Fit:
     none = np.zeros_like(made.point.shift)
     starts = [made.point, replace(made.point, shift=none, size=none)]
     starts.append(replace(starts[1], theta=engine.theta0))
-    best: Fit | None = None
+    found = [replace(made, terms=terms, point=_within(made.point, use))]
     for start in starts:
         rough = start.vector()
         for kappa in (0.015, 0.004):
             rough = fit(engine, broaden(engine, data, start, terms, kappa), terms, use, rough, steps=8).point.vector()
-        for x in (start.vector(), rough):
-            one = fit(engine, data, terms, use, x, steps=25)
-            if best is None or one.objective < best.objective:
-                best = one
-    assert best is not None
-    return best
+        found += [fit(engine, data, terms, use, x, steps=25) for x in (start.vector(), rough)]
+    return min(found, key=lambda f: relative_error(frf.value, predicted(engine, f, frf)))
+
+
+def _within(point: Point, use: Scatter) -> Point:
+    """The point, its modal frequencies and loads within what a sound model needs."""
+    reach = use.trim * np.array([use.frequency, use.residue])
+    return replace(
+        point, shift=np.clip(point.shift, -reach[0], reach[0]), size=np.clip(point.size, -reach[1], reach[1])
+    )
 
 
 def _fixed(made: Fit) -> tuple[Term, ...]:
@@ -280,7 +285,7 @@ def _decide(
     )
     final = selection.chain[-1]
     verdict, named, reason = _verdict(selection, limits, data, measured)
-    if named and extended_error[1] > limits.improve ** len(named) * base_error[1]:
+    if named and not _improves(selection, len(named), limits, data, base_error[1], extended_error[1]):
         verdict, named, reason = (
             "unexplained",
             (),
@@ -321,6 +326,20 @@ def _decide(
         np.exp(source.fit.point.log_zeta), detail,
     )  # fmt: skip
     return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
+
+
+def _improves(
+    selection: Selection, n: int, limits: Limits, data: Data, base_error: float, extended_error: float
+) -> bool:
+    """Whether `n` names are worth it: the prediction is better, or a misfit that no sound model has is gone.
+
+    A fault of a few lines, such as an appendage's notch, hardly shows in an error over all lines.
+    """
+    if extended_error <= limits.improve**n * base_error:
+        return True
+    base, final = selection.chain[0].fit.objective, selection.chain[-1].fit.objective
+    evident = base > limits.misfit * 2 * data.value.size and final < limits.improve ** (2 * n) * base
+    return evident and extended_error <= 1.05 * base_error
 
 
 def _alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
@@ -421,9 +440,10 @@ def _verdict(
     lead = _lead(stage, best) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
-        behind = (best.cost - law.cost) / max(excess, 1.0)
-        if behind > max(limits.alarm, limits.behind * total):
+        if (best.cost - law.cost) / max(excess, 1.0) > max(limits.alarm, limits.behind * total):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
+    elif law is not None and (final.cost - law.cost) / max(excess, 1.0) > limits.name:
+        return "unexplained", (), "one law at one place, which has no name, explains it better than several that have"
     left = final.fit.objective / (2 * data.value.size)
     if measured_noise and left > limits.misfit and final.fit.objective > limits.remains * base.fit.objective:
         return "unexplained", (), "what the best mechanism leaves is far more than noise"

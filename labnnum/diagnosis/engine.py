@@ -26,6 +26,9 @@ from labnnum.structures.base import Structure
 REACH = 2.5
 """Modes up to so many times the band are kept; those above enter quasi-statically."""
 
+NEAR = 1.6
+"""Modes up to so many times the band have errors of their own: their flanks still reach into it."""
+
 
 class Engine:
     """Responses of `structure` at `outputs` to `inputs` up to `omega_max`, with any terms added."""
@@ -53,11 +56,16 @@ class Engine:
         low, high = band
         self.keep = first.omega.size
         self.rigid_modes = int(np.count_nonzero(first.omega < 1e-6 * max(first.omega.max(), 1e-300)))
-        inside = (first.omega > 0.6 * low) & (first.omega < 1.1 * high)
+        inside = (first.omega > 0.6 * low) & (first.omega < NEAR * high)
         inside[: self.rigid_modes] = False
         if not inside.any():
             inside[self.rigid_modes : self.rigid_modes + 1] = True
         self.band_modes = np.flatnonzero(inside)
+        self.seen_modes = self.band_modes[
+            first.omega[self.band_modes] < max(1.1 * high, first.omega[self.band_modes[0]])
+        ]
+        if not self.seen_modes.size:
+            self.seen_modes = self.band_modes[:1]
         self.outside_modes = np.setdiff1d(np.arange(first.omega.size), self.band_modes)
         self.zeta0 = self._damping(first)
         self._sizes(first)
@@ -204,8 +212,8 @@ class Engine:
             dofs.setdefault(dof, self.participation(dof, self.theta0))
         site = Site(
             np.real(m.M), np.real(m.K), dofs, dict(self.structure.nodes), tuple(free_nodes), tuple(elements),
-            tuple(supports), self.outputs + self.inputs, len(self.outputs), first.omega[self.band_modes],
-            first.shape[:, self.band_modes], rigid, drive,
+            tuple(supports), self.outputs + self.inputs, len(self.outputs), first.omega[self.seen_modes],
+            first.shape[:, self.seen_modes], rigid, drive,
             tuple(np.real(d.K) for d in self.structure.derivatives(self.theta0)), self.held,
         )  # fmt: skip
         return replace(site, mesh=self.structure.elements or touching(site))

@@ -132,10 +132,12 @@ class Evaluation:
             return Response(value)
         b = e.band_modes
         outside = self.outside
-        rest = _dot(st.out[outside].T, self.d[outside][:, None] * self.load[outside][:, :, None])
+        others = self.d[outside][:, None] * self.load[outside][:, :, None]
+        rest = _dot(st.out[outside].T, others)
         n = e.rigid_modes
         rigid = _dot(st.out[:n].T, self.d[:n][:, None] * self.load[:n][:, :, None]) if n else None
-        return Response(value, jac, q[b], p_out[b], lift * chain, rest, rigid)
+        others = others * np.abs(st.out[outside]).max(axis=1)[:, None, None]
+        return Response(value, jac, q[b], p_out[b], lift * chain, rest, rigid, others)
 
     def ingredients(self, own: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """For the last `own` columns of motion, with the columns before them coupled: x (o, i, f), and the

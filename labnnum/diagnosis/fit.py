@@ -122,7 +122,8 @@ class Problem:
     """The objective of one fit: data, terms and scatter; evaluates itself and its Gauss-Newton model."""
 
     def __init__(self, engine: Engine, data: Data, terms: Sequence[Term], scatter: Scatter) -> None:
-        self.engine, self.data, self.terms, self.scatter = engine, data, tuple(terms), scatter
+        self.engine, self.terms, self.scatter = engine, tuple(terms), scatter
+        self.data = self._without_dropped(data)
         start = engine.start(self.terms)
         self.start = start
         parameters = engine.structure.parameters
@@ -249,8 +250,32 @@ class Problem:
             parts.append(np.stack([offset, 1j * offset]))
         columns = self._rows(np.concatenate([*parts, *self._moved_supports(r, x)]))
         for i in self._loose:
-            columns[self._rows_of(i)] *= LOOSE
+            columns = self._loosened(columns, i, r)
         return columns
+
+    def _loosened(self, columns: NDArray, channel: int, r: Response) -> NDArray:
+        """The columns with those of one channel's rows widened, and its share of every mode outside the band free."""
+        assert r.other_modal is not None
+        assert r.lift is not None
+        rows = self._rows_of(channel)
+        columns[rows] *= LOOSE
+        if not len(r.other_modal):
+            return columns
+        free = self._rows(r.other_modal[:, None] * r.lift)
+        more = np.zeros((columns.shape[0], columns.shape[1], free.shape[2]))
+        more[rows] = free[rows]
+        return np.concatenate([columns, more], axis=2)
+
+    def _without_dropped(self, data: Data) -> Data:
+        """The data with nothing known of channels that a term gives up."""
+        dropped = [t.data["dropped"] for t in self.terms if "dropped" in t.data]
+        if not dropped:
+            return data
+        sigma = data.sigma.copy()
+        rows = sigma.reshape(-1, sigma.shape[-1])
+        for i in dropped:
+            rows[self._rows_of(i)] *= 1e6
+        return replace(data, sigma=rows.reshape(sigma.shape))
 
     @cached_property
     def _loose(self) -> list[int]:
@@ -313,11 +338,15 @@ class Problem:
         """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
         r, b, j = self._parts(x, jacobian=True)
         assert j is not None
-        data_part, gram, inner = self._reduce(r, b)
-        bj = np.matmul(b.transpose(0, 2, 1), j)
-        solved = np.linalg.solve(gram, bj)
-        hessian = np.matmul(j.transpose(0, 2, 1), j).sum(0) - np.matmul(bj.transpose(0, 2, 1), solved).sum(0)
-        gradient = np.einsum("rfn,rf->n", j, r, optimize=True) - np.einsum("rbn,rb->n", bj, inner, optimize=True)
+        every = np.concatenate([b, j, r[..., None]], axis=2)
+        n = b.shape[2]
+        gram = np.matmul(every.transpose(0, 2, 1), every)
+        across = gram[:, :n, n:]
+        solved = np.linalg.solve(gram[:, :n, :n] + np.eye(n), across)
+        free = (gram[:, n:, n:] - np.matmul(across.transpose(0, 2, 1), solved)).sum(0)
+        whole = float(gram[:, -1, -1].sum())
+        data_part = float(free[-1, -1]) if free[-1, -1] >= 1e-9 * whole else whole
+        hessian, gradient = free[:-1, :-1], free[:-1, -1]
         prior = 1.0 / self.std**2
         gradient = gradient - prior * (x - self.mean)
         return _Normal(data_part + self._price(x), data_part, self._price(x), gradient, hessian + np.diag(prior), b)

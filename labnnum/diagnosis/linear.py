@@ -120,7 +120,15 @@ class Task:
     def priced(self, terms: tuple[Term, ...], made: Fit) -> Candidate:
         """The fit as a candidate: its objective plus the price of its terms' parameters."""
         places = 2.0 * sum(np.log(self.counts.get(t.mechanism.id, 1)) for t in terms)
-        return Candidate(terms, made, made.objective + self.limits.parameter * sum(_count(t) for t in terms) + places)
+        given_up = self._given_up(terms, made)
+        own = self.limits.parameter * sum(_count(t) for t in terms)
+        return Candidate(terms, made, made.objective + own + places + given_up)
+
+    def _given_up(self, terms: Sequence[Term], made: Fit) -> float:
+        """What the rows of channels that a term gives up would cost if they fitted as well as the others do."""
+        n_o, n_i = len(self.engine.outputs), len(self.engine.inputs)
+        share = sum(1 / n_o if t.data["dropped"] < n_o else 1 / n_i for t in terms if "dropped" in t.data)
+        return made.data_part * share / (1 - share) if share else 0.0
 
 
 def base_fit(task: Task, held: Sequence[Term], start: Point) -> Fit:
@@ -128,10 +136,27 @@ def base_fit(task: Task, held: Sequence[Term], start: Point) -> Fit:
     x = start.vector()
     found = [task.down(held, x, first) for first in range(len(task.ladder) + 1)]
     best = min(found, key=lambda f: f.objective)
+    if best.prior_part > OFF * (best.point.shift.size + best.point.theta.size):
+        best = min([best, *(task.down(held, p, 0) for p in _corners(task.engine, x))], key=lambda f: f.objective)
     typical = np.full_like(best.point.log_zeta, np.median(best.point.log_zeta))
     x = replace(best.point, log_zeta=typical).vector()
     again = fit(task.engine, task.coarse, held, task.scatter, x, steps=40)
     return task.refined(min(best, again, key=lambda f: f.objective), steps=40)
+
+
+OFF = 4.0
+"""Price of the fitted errors, a parameter, beyond which other starts are worth a try: two deviations each."""
+
+
+def _corners(engine: Engine, x: NDArray) -> list[NDArray[np.float64]]:
+    """Starts with one of the structure's parameters two deviations off, up and down."""
+    out = []
+    for i, p in enumerate(engine.structure.parameters):
+        for step in (2.0, -2.0):
+            y = x.copy()
+            y[i] = np.clip(y[i] + step * p.spread, p.lower, p.upper)
+            out.append(y)
+    return out
 
 
 LOOSE = Scatter(

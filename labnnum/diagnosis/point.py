@@ -79,3 +79,5 @@ class Response:
     """(n_out, n_in, n_f): displacement that modes outside the band contribute."""
     rigid: NDArray | None = None
     """(n_out, n_in, n_f): displacement of the rigid-body modes; None where the structure has none."""
+    other_modal: NDArray | None = None
+    """(m_o, n_in, n_f): response of each mode outside the band, as if it moved by its largest participation."""

@@ -30,14 +30,15 @@ class LooseChannel(Mechanism):
     reference = "Allemang (2003)"
 
     def terms(self, site: Site) -> Iterable[Term]:
-        """Each response, and each input where there are several."""
+        """Each response, and each input where there are several: as a sum of modes, and as nothing of the model's."""
         n_in = len(site.channels) - site.n_outputs
-        width = 2 * site.omega.size + 6
+        width = 2 * site.omega.size + 11
         for i, channel in enumerate(site.channels):
             alone = site.n_outputs == 1 if i < site.n_outputs else n_in == 1
             if not alone:
-                data = {"loose": i, "price": width}
-                yield Term(self, Place("channel", channel.name), (), np.zeros((1, 0)), data=data)
+                for kind in ("loose", "dropped"):
+                    data = {kind: i, "price": width}
+                    yield Term(self, Place("channel", channel.name), (), np.zeros((1, 0)), variant=kind, data=data)
 
 
 @final
