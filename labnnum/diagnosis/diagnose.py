@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
 from labnnum.diagnosis.gates import drifted, pass_gates
-from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion, select
+from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion, select, settled
 from labnnum.diagnosis.observe import Observation, pool
 from labnnum.diagnosis.places import all_terms, places_of
 from labnnum.diagnosis.point import Point
@@ -337,8 +337,8 @@ def _improves(
     """
     if extended_error <= limits.improve**n * base_error:
         return True
-    base, final = selection.chain[0].fit.objective, selection.chain[-1].fit.objective
-    evident = base > limits.misfit * 2 * data.value.size and final < limits.improve ** (2 * n) * base
+    base, final = selection.chain[0].fit, selection.chain[-1].fit
+    evident = base.objective > limits.misfit * 2 * data.value.size and settled(final, data, limits)
     return evident and extended_error <= 1.05 * base_error
 
 
@@ -361,13 +361,13 @@ def _worthwhile(
     base_terms = chain[0].terms
     idle: list[bool] = []
     plain, error = base
-    for i, candidate in enumerate(selection.chain[1:]):
-        made = trimmed(engine, lines, candidate.fit, scatter)
-        told = errors(made)
-        if i and told[1] > min(limits.improve_further * error[1], limits.improve ** (i + 1) * base[1][1]):
-            break
-        idle.append(told[1] > 0.95 * error[1])
-        chain.append(candidate)
+    tried = [(c, trimmed(engine, lines, c.fit, scatter)) for c in selection.chain[1:]]
+    for i, (_, made) in enumerate(tried):
+        told, passed = errors(made), i + 1 - len(idle)
+        if i and told[1] > min(limits.improve_further**passed * error[1], limits.improve ** (i + 1) * base[1][1]):
+            continue  # a later one may show what this one began
+        idle += [False] * (passed - 1) + [told[1] > 0.95 * error[1]]
+        chain += [c for c, _ in tried[len(chain) - 1 : i + 1]]
         plain, error = made, told
     alone = [True] * (len(idle) - 1) + [False]
     for drop in (alone, [*idle[:-1], False]) if len(chain) > 2 else ():
@@ -450,6 +450,9 @@ def _verdict(
     answers = [(c.last.mechanism.id, c.last.place) for c in selection.chain[1:]]
     if len(set(answers)) < len(answers):
         return "unexplained", (), "it takes one mechanism twice at one place: the law there is another"
+    whole = {node for _, p in answers for node in (p.id, p.to) if node is not None}
+    if len(answers) > 2 and len(whole) == 2 and all(p.kind != "channel" for _, p in answers):
+        return "unexplained", (), "it takes several mechanisms between two nodes: the law there is another"
     if lead < limits.name and len(selection.chain) == 2:
         return "unexplained", (), "two mechanisms explain it equally well"
     named = []

@@ -87,21 +87,6 @@ class Fit:
         return self.point.theta.size
 
 
-def independence(residual: NDArray) -> float:
-    """Share of independent values among whitened residuals (rows, 2 n_f), real parts first, between 0 and 1.
-
-    What a model lacks is smooth in frequency: neighbouring lines repeat each other, and chi-squares over them are too
-    large by (1 + rho) / (1 - rho) at a lag-one correlation rho (Bartlett, 1935).
-    """
-    half = residual.shape[1] // 2
-    parts = residual.reshape(residual.shape[0], 2, half)
-    size = float(np.sum(parts**2))
-    if size == 0 or half < 3:
-        return 1.0
-    rho = float(np.sum(parts[..., 1:] * parts[..., :-1])) / size
-    return float(np.clip((1 - rho) / (1 + rho), 0.01, 1.0))
-
-
 @dataclass(frozen=True, eq=False)
 class _Normal:
     """Quadratic model of the objective about one point."""
@@ -327,12 +312,6 @@ class Problem:
         if left < 1e-9 * whole:  # a response so large that its own ordinary errors would explain anything
             left = whole
         return left, gram, inner
-
-    def left(self, x: NDArray) -> NDArray[np.float64]:
-        """Whitened residual (rows, 2 n_f) at `x` that neither noise nor the marginalised errors were asked to take."""
-        r, b, _ = self._parts(x, jacobian=False)
-        _, _, inner = self._reduce(r, b)
-        return r - np.einsum("rfn,rn->rf", b, inner)
 
     def normal(self, x: NDArray) -> _Normal:
         """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""

@@ -230,6 +230,12 @@ def select(
     return Selection(tuple(chain), tuple(stages), law, gains)
 
 
+def settled(made: Fit, data: Data, limits: Limits) -> bool:
+    """Whether a fit leaves no more than noise, and asks of the structure no more than a sound one does."""
+    errors = made.point.shift.size + made.n_theta
+    return made.data_part < limits.unsettled * 2 * data.value.size and made.prior_part < OFF * errors
+
+
 def _unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candidate) -> list[Candidate]:
     """The best unnamed laws, best first: smooth local ones, loose ones, and pairs where nothing else is enough."""
     plain = replace(task, counts={})
@@ -237,7 +243,7 @@ def _unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candid
     found += _loosened(plain, [t for t in general if t.width == 0], base)
     best = min([*found, named], key=lambda c: c.cost)
     pairs = [t for t in general if t.width == 2]
-    if pairs and best.fit.objective > task.limits.unsettled * 2 * task.data.value.size:
+    if pairs and not settled(best.fit, task.data, task.limits):
         found += _stage(plain, pairs, base, 4)[:2]
     return sorted(found, key=lambda c: c.cost)
 

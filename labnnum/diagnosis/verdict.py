@@ -28,7 +28,7 @@ class Limits:
     improve_further: the same for each further mechanism after the one before.
     doubt: the same for "unexplained".
     sound: held-out error that no sound model leaves, unless noise makes a third of it.
-    unsettled: objective per value of the best explanation above which unnamed laws of two nodes are tried too.
+    unsettled: chi-square per value of the best explanation above which something is still missing.
     remains: part of the base's objective that is no misfit, however far it stands above the noise.
     """
 
