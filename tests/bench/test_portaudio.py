@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -248,7 +249,7 @@ def test_what_the_reader_does_not_fetch_is_counted_to_the_frame(echo):
     offset = numbers[0][0] - blocks[0].start
     for block, number in zip(blocks, numbers, strict=True):
         np.testing.assert_array_equal(number, block.start + offset + np.arange(block.n_frames))
-    for before, after in zip(blocks, blocks[1:], strict=False):
+    for before, after in pairwise(blocks):
         assert after.start == before.start + before.n_frames + after.lost
     for n in lost:
         assert any(f"{n} frames were not fetched in time and are lost" in note for note in digitiser.notes)
