@@ -158,7 +158,8 @@ class TrainingPlan:
         value, slope = self.batch().sensitivity(references(free))
         if self.view is not None:
             value, slope = self.view.apply(value), self.view.apply(slope)
-        return ScoreBands.at_references(bands, self.frequency, value, slope, np.array([p.spread for p in free]))
+        spread = np.array([p.spread for p in free])
+        return ScoreBands.at_references(bands, self.frequency, value, slope, spread).spanned()
 
 
 @dataclass(frozen=True, eq=False)

@@ -181,6 +181,6 @@ def chosen(example: str) -> tuple[str, ...]:
     names = tuple(n for n in CASES if not example or n == example or n.startswith(f"{example}-"))
     if not names:
         raise ConfigError(
-            f"reproduce: there is no example {example!r}; there are {', '.join(CASES)}, control, drift, flags"
+            f"reproduce: there is no example {example!r}; there are {', '.join(CASES)}, control, drift, flags, leakage"
         )
     return names

@@ -95,7 +95,7 @@ class Training:
         if kind == "score":
             value, slope = self.solver.sensitivity(references(free))
             spread = np.array([p.spread for p in free])
-            return ScoreBands.at_references(bands, self.case.frequency, value, slope, spread)
+            return ScoreBands.at_references(bands, self.case.frequency, value, slope, spread).spanned()
         first = draw(free, 64, "sobol", self.seed, MARGIN)
         return make_features(kind, bands).fitted(self.case.frequency, self.solver.frf(first))
 
