@@ -13,8 +13,8 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.locate import Spot, spots
-from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
 from labnnum.diagnosis.nonlinear.problem import Joint, Made, choose_lines
+from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, further, refined, search
@@ -163,10 +163,13 @@ def _rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried
     """The winning law at the spots that explain the distortion next best."""
     best = found.best
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
-    order = sorted(found.recovered, key=lambda q: -q.share)
-    own = next((q.share for q in order if q.spot.place == best.spot.place), order[0].share)
-    near = [q.spot for q in order if (q.spot.place, q.spot.axis) not in have and 1 - q.share < 1.5 * (1 - own)]
+    own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
+    near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
     return at_places(found, best, near, scatter, most=2)
+
+
+RIVAL = 0.8
+"""Part of what a general law removes at the best place that it must remove at another for the law to be tried there."""
 
 
 def _decide(
