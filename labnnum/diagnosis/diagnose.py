@@ -96,7 +96,7 @@ def diagnose(
         if whole is not None:
             return whole
     _, terms = all_terms(engine, where, catalogue)
-    _, general = all_terms(engine, where, (LocalLaw(),))
+    _, general = all_terms(engine, where, (LocalLaw(),) if catalogue else ())
     measured = all(o.kind != "frf" for o in observations)
     selection = select(
         engine, train, terms, general, scatter, limits, measured_noise=measured, initial=initial, progress=progress

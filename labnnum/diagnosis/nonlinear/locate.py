@@ -57,7 +57,10 @@ class Recovered:
 
 @dataclass(frozen=True, eq=False)
 class Lead:
-    """A law at a spot with the parameters that fit the recovered motion, and what it removes of chi-square."""
+    """A law at a spot with the parameters that fit the recovered motion, and what it removes of chi-square.
+
+    A spring and a dashpot at the spot stand beside it, and what those remove alone is not counted.
+    """
 
     spot: Spot
     mechanism: str
@@ -296,12 +299,12 @@ class _General:
             trials = [i for i in range(self.n) if i not in chosen]
             each = [self.scored([0, 1, *(j + 2 for j in [*chosen, i])]) for i in trials]
             best = int(np.argmax([g for _, g in each]))
-            if each[best][1] - gain < max(least * (objective - gain), 20.0):
+            if each[best][1] - gain < max(least * (objective - gain), 20.0 * (least > 0)):
                 break
             chosen.append(trials[best])
             size, gain = each[best]
             size = size[2:]
-        return chosen, size, gain
+        return chosen, size, gain - self.scored([0, 1])[1]
 
 
 def ranked(background: Background, found: Sequence[Recovered]) -> list[Recovered]:
@@ -348,6 +351,7 @@ def law_leads(background: Background, found: Recovered, mechanisms: Sequence[str
                 spot = found.spot
                 if side < 0:
                     spot = Spot(spot.place, "-" + spot.axis, spot.column)
+                gain -= beside.gain
                 if best is None or gain > best.gain:
                     best = Lead(spot, mechanism, value, gain)
         if best is not None:
@@ -361,8 +365,8 @@ def law_leads(background: Background, found: Recovered, mechanisms: Sequence[str
 
 
 def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
-    """Every translation of every free node against the ground, and of one node against its neighbour."""
-    from labnnum.mechanisms.base import TRANSLATIONS
+    """Every translation of every free node against the ground, every motion of one node against its neighbour."""
+    from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS
     from labnnum.mechanisms.nonlinear_law import between
 
     out = []
@@ -376,7 +380,7 @@ def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
             continue
         if b in site.supports and not site.rows(b, TRANSLATIONS).size:
             continue
-        for axis in TRANSLATIONS:
+        for axis in (*TRANSLATIONS, *ROTATIONS):
             column = between(site, a, b, axis)
             if column is not None and np.abs(column[:, 0] @ site.shape).max() > 0:
                 out.append(Spot(Place("joint", a, b), axis, column[:, 0]))
