@@ -90,7 +90,8 @@ def answer(
     if not runs:
         if not changed(others):
             return None
-        parts = split(others)
+        b = engine.band_modes
+        parts = split(others, float(1 / np.min(engine.zeta0[b] * engine.state(engine.theta0).omega[b])))
         train = sorted((_within(o, span) for o in parts.train), key=lambda o: o.level)
         test = sorted((_within(o, span) for o in parts.test), key=lambda o: o.level)
         runs, whole = [o.run for o in train if o.run is not None], parts.whole

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
@@ -253,7 +254,7 @@ def law_column(joint: Joint, found: Recovered, mechanism: str, p: NDArray, sign:
 def spectra_of(joint: Joint, series: Sequence[NDArray]) -> list[NDArray[np.complex128]]:
     """Spectra of a series in time for each run, (n,) on as many samples as the recovered motion has, as seen."""
     pairs = zip(joint.runs, series, strict=True)
-    return [np.fft.rfft(x * _window(run, x.size)) * (2 / x.size) for run, x in pairs]
+    return [rfft((x * _window(run, x.size)).astype(np.float32)) * np.float32(2 / x.size) for run, x in pairs]
 
 
 def _through(joint: Joint, found: Recovered, spectra: Sequence[NDArray]) -> NDArray[np.float64]:

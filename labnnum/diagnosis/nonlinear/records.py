@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 
 STRETCH = 16384
 """Samples of noise that are compared at most; as many others are held out."""
+FORGOTTEN = 40.0
+"""Decay times of the slowest mode, by the nominal damping, that a stretch of noise should last."""
 SILENT = 1e-4
 """Power of the input, of its largest, below which a line counts as not excited."""
 SAME = 0.02
 """Power of one half of a record, of that of the other, below which a line was left out: the record sweeps."""
-HITS = 2
+HITS = 1
 """Hits of a level that are fitted, at most."""
 
 
@@ -36,15 +38,21 @@ class Split:
     whole: tuple[Observation, ...]
 
 
-def split(observations: Sequence[Observation]) -> Split:
-    """Hits of every level but the last of each, stretches of noise, or three of four stretches of lines of a sweep."""
+def split(observations: Sequence[Observation], decay_time: float) -> Split:
+    """Hits of every level but the last of each, stretches of noise, or three of four stretches of lines of a sweep.
+
+    Parameters
+    ----------
+    decay_time : float
+        Of the slowest mode in the band, s.
+    """
     train: list[Observation] = []
     test: list[Observation] = []
     whole: list[Observation] = []
     for o in observations:
         if not o.recordings:
             continue
-        own, held = _hits(o) if o.kind == "hammer" else _stretches(o)
+        own, held = _hits(o) if o.kind == "hammer" else _stretches(o, decay_time)
         train += [replace(o, run=r, level=r.level) for r in own]
         test += [replace(o, run=r, level=r.level) for r in held]
         whole.append(o)
@@ -78,7 +86,7 @@ def hits_of(o: Observation) -> list[Run]:
 # -------------------------------------------------------------------- noise and sweeps
 
 
-def _stretches(o: Observation) -> tuple[list[Run], list[Run]]:
+def _stretches(o: Observation, decay_time: float) -> tuple[list[Run], list[Run]]:
     recording = o.recordings[0]
     a, b = max(recording.spans(), key=lambda span: span[1] - span[0])
     half = (b - a) // 2
@@ -89,7 +97,7 @@ def _stretches(o: Observation) -> tuple[list[Run], list[Run]]:
         block = max(lines.size // 60, 1)
         back[lines] = (np.arange(lines.size) // block) % 4 == 2
         return [replace(whole, use=~back)], [replace(whole, use=back)]
-    n = min(STRETCH, half)
+    n = min(STRETCH, half, int(FORGOTTEN * decay_time * recording.rate))
     return [stretch_of(recording, a + half - n, a + half)], [stretch_of(recording, a + half, a + half + n)]
 
 
