@@ -101,7 +101,7 @@ def diagnose(
         if whole is not None:
             return whole
     _, terms = all_terms(engine, where, catalogue)
-    _, general = all_terms(engine, where, UNNAMED)
+    _, general = all_terms(engine, where, UNNAMED if catalogue else ())
     measured = all(o.kind != "frf" for o in observations)
     selection = select(
         engine, train, terms, general, scatter, limits, measured_noise=measured, initial=initial, progress=progress

@@ -32,7 +32,7 @@ OWN = Scatter(
 def nonlinear_first(
     engine: Engine, gate: Gate, observations: Sequence[Observation], held_out: Sequence[Observation], places: Places,
     scatter: Scatter, limits: Limits, span: tuple[float, float] | None,
-    again: Callable[[Sequence[Observation], Sequence[Observation]], Diagnosis], progress: Callable[[str], None],
+    again: Callable[..., Diagnosis], progress: Callable[[str], None],
 ) -> Diagnosis | None:  # fmt: skip
     """The whole diagnosis where the runs show nonlinear physics, else None.
 
@@ -48,12 +48,14 @@ def nonlinear_first(
     train = [o for i, o in enumerate(usable) if i not in kept]
     test = list(held_out) or [usable[i] for i in sorted(kept)]
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
-    found = answer(engine, train, test, places, scatter, limits, band, progress)
+    found = answer(engine, train, test, places, scatter, limits, band, progress, usable)
     if found is None or found.reason == UNCONFIRMED:
         return None
     progress("searching for linear physics beside it")
-    rest = again(found.linearised, found.linearised_held_out)
-    if found.misfit > 1.5 and any(n.place.kind == "channel" for n in rest.named):
+    explained = bool(found.named) and found.misfit < EXPLAINED
+    rest = again(found.linearised, found.linearised_held_out, **({"catalogue": ()} if explained else {}))
+    periodic = all(o.run is not None for o in train)
+    if periodic and found.misfit > 1.5 and any(n.place.kind == "channel" for n in rest.named):
         train = [_mended(o, rest.named) for o in train]
         test = [_mended(o, rest.named) for o in test]
         second = answer(engine, train, test, places, scatter, limits, band, progress)
@@ -61,6 +63,10 @@ def nonlinear_first(
             found = second
     signs = _nonlinear(observations)
     return merged(found, rest, gate.named, signs, observations)
+
+
+EXPLAINED = 1.2
+"""Chi-square per value below which a law and the ordinary errors leave nothing for the linear search."""
 
 
 def merged(
