@@ -107,6 +107,8 @@ def answer(
         return None
     progress("comparing places and laws")
     tried = refined(found, scatter, _rivals(found, every, scatter))
+    if not tried:
+        return None
     found = replace(found, tried=tuple(tried))
     laws = _chain(found, every, train, test, scatter, limits, progress)
     return _decide(found, laws, train, test, scatter, limits, whole)

@@ -320,7 +320,9 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
 
     Costs of the others are raised by what the best's own rose with the lines: they stay comparable.
     """
-    everyone = sorted([*study.tried, *more], key=lambda t: t.cost)
+    everyone = sorted((t for t in [*study.tried, *more] if np.isfinite(t.cost)), key=lambda t: t.cost)
+    if not everyone:
+        return []
     front: list[Tried] = []
     for t in everyone:
         if not any(t.same(o) for o in front):
@@ -328,7 +330,9 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     limit = everyone[0].cost * 3 + 1e3
     chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
     done = [
-        _carry_on(study.engine, study.point, study.runs, scatter, chosen, t, 4) for t in front[:most] if t.cost < limit
+        _carry_on(study.engine, study.point, study.runs, scatter, chosen, t, 4)
+        for t in front[:most]
+        if t is front[0] or t.cost < limit
     ]
     best = min(done, key=lambda t: t.cost)
     sure = _carry_on(study.engine, study.point, study.runs, scatter, chosen, best, 2, always=True)
