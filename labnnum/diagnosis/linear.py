@@ -210,6 +210,8 @@ def select(
     law: Candidate | None = None
     gains: dict[Place, float] = {}
     for stage in range(depth):
+        if stage and (_told(law, chain, data, limits) or _finished(task, terms, chain[-1])):
+            break
         progress(f"searching the catalogue for mechanism {stage + 1}")
         found = _stage(task, terms, chain[-1], width)
         if not found:
@@ -228,6 +230,23 @@ def select(
             break
         chain.append(best)
     return Selection(tuple(chain), tuple(stages), law, gains)
+
+
+def _told(law: Candidate | None, chain: Sequence[Candidate], data: Data, limits: Limits) -> bool:
+    """Whether one unnamed law explains all and the best name does not."""
+    if law is None or len(chain) != 2:
+        return False
+    return settled(law.fit, data, limits) and not settled(chain[-1].fit, data, limits)
+
+
+def _finished(task: Task, terms: Sequence[Term], last: Candidate) -> bool:
+    """Whether the model explains the data, and no step along any term's signature promises a mechanism more."""
+    if not settled(last.fit, task.data, task.limits):
+        return False
+    x = last.fit.point.vector()
+    leads = direction_score(task.engine, task.coarse, task.scatter, terms, x, last.terms)
+    most = max((lead.gain - task.limits.parameter * _count(lead.term) for lead in leads), default=0.0)
+    return most < 0.5 * task.limits.further  # a score at first order, beside what a fit may gain
 
 
 def settled(made: Fit, data: Data, limits: Limits) -> bool:
