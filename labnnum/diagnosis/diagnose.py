@@ -343,13 +343,18 @@ def _improves(
 
 
 def _alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
-    """The selection without its chain where the first gain is too small for how well the base predicts already."""
+    """The selection without its chain where the first gain is too small for how well the base predicts already.
+
+    What a sound model leaves of the data is smooth, and some mechanism always explains a part of it: that gain is
+    discounted where the base predicts well. What the base had to ask of modal frequencies and loads counts in full.
+    """
     if len(selection.chain) < 2:
         return selection
     base, first = selection.chain[:2]
-    gain = (base.cost - first.cost) / max(dispersion(first.fit, data), 1.0)
-    enough = limits.alarm * max(1.0, limits.plain / max(error, 1e-9))
-    return selection if gain >= enough else replace(selection, chain=(base,))
+    asked = max(base.fit.prior_part - first.fit.prior_part, 0.0)
+    smooth = (base.cost - first.cost - asked) / max(dispersion(first.fit, data), 1.0)
+    enough = smooth / max(1.0, limits.plain / max(error, 1e-9)) + asked >= limits.alarm
+    return selection if enough else replace(selection, chain=(base,))
 
 
 def _worthwhile(
