@@ -292,6 +292,12 @@ def _decide(
             f"the best name, {named[0].term.mechanism.id} at {named[0].place},"
             " does not improve the prediction of data held out enough",
         )
+    if len(named) > 1 and _one_law(engine, lines, selection, limits, scatter, data, train, test, extended_error[1]):
+        verdict, named, reason = (
+            "unexplained",
+            (),
+            "one law at one place, which has no name, predicts as well as several",
+        )
     if verdict == "unexplained" and not _missing(engine, lines, selection, limits, scatter, data, train, test,
                                                  base_error, extended_error, measured):  # fmt: skip
         verdict = "consistent"
@@ -340,6 +346,17 @@ def _improves(
     base, final = selection.chain[0].fit, selection.chain[-1].fit
     evident = base.objective > limits.misfit * 2 * data.value.size and settled(final, data, limits)
     return evident and extended_error <= 1.05 * base_error
+
+
+def _one_law(
+    engine: Engine, lines: Frf, selection: Selection, limits: Limits, scatter: Scatter, data: Data, train: Frf,
+    test: Frf, error: float,
+) -> bool:  # fmt: skip
+    """Whether one unnamed local law explains the data, and predicts nearly as well as several names do."""
+    law = selection.general
+    if law is None or not law.last.groups or not settled(law.fit, data, limits):
+        return False
+    return error > limits.improve_further * _errors(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1]
 
 
 def _alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
