@@ -98,9 +98,11 @@ def main() -> None:
     parser.add_argument("--streams", type=int, default=3, help="for each tip and rate")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--tips", nargs="*", choices=TIPS, default=[], help="those named only")
     args = parser.parse_args()
     told = {}
-    for number, tip in enumerate(TIPS):
+    for tip in args.tips or TIPS:
+        number = list(TIPS).index(tip)
         count = dict.fromkeys(COUNTED, 0)
         for rate in (25600.0, 51200.0):
             for k in range(args.streams):

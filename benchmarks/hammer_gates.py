@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -232,23 +233,31 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--recordings", type=Path, help="folder that holds hammer_hits/")
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--tips", action="store_true", help="so many hits for each hammer tip")
+    parser.add_argument("--tips", nargs="*", choices=TIPS, help="so many hits for each hammer tip, or for those named")
     args = parser.parse_args()
-    if args.tips:
-        result = {}
-        for k, (tip, (length, _)) in enumerate(TIPS.items()):
-            found = sweep(args.hits, args.seed + k, (0.85 * length, 1.15 * length))
-            result |= {f"{tip}, {1e3 * length:g} ms: {key}": entry for key, entry in found.items()}
-    else:
-        result = sweep(args.hits, args.seed)
-    if args.recordings:
-        result |= real_hits(args.recordings, args.seed, 20)
+    shown = {}
+    for title, found in parts(args):
+        named = {f"{title}{key}": entry for key, entry in found.items()}
+        shown |= named
+        for key, entry in ({} if args.json else named).items():
+            low, high = entry["limits"]
+            told = f"{key:92s} {entry['wrong']:5d} of {entry['of']:5d} = {entry['rate']:7.2%}  [{low:.2%}, {high:.2%}]"
+            print(told, flush=True)
     if args.json:
-        print(json.dumps(result, indent=1))
-        return
-    for key, entry in result.items():
-        low, high = entry["limits"]
-        print(f"{key:92s} {entry['wrong']:5d} of {entry['of']:5d} = {entry['rate']:7.2%}  [{low:.2%}, {high:.2%}]")
+        print(json.dumps(shown, indent=1))
+
+
+def parts(args: argparse.Namespace) -> Iterator[tuple[str, dict]]:
+    """What was asked for, part by part: a title and its rates."""
+    if args.tips is None:
+        yield "", sweep(args.hits, args.seed)
+    else:
+        for tip in args.tips or TIPS:
+            length = TIPS[tip][0]
+            seed = args.seed + list(TIPS).index(tip)
+            yield f"{tip}, {1e3 * length:g} ms: ", sweep(args.hits, seed, (0.85 * length, 1.15 * length))
+    if args.recordings:
+        yield "", real_hits(args.recordings, args.seed, 20)
 
 
 if __name__ == "__main__":

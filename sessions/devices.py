@@ -87,6 +87,10 @@ def _simulated(rig: Rig, item: Item, attempt: int) -> Devices:
         drive, exciter = Drive(item.channels[trigger_row(rig)]), None
     else:
         generator = rig.toml.generator
+        if generator is not None and generator.kind != "simulated":
+            raise ConfigError(
+                f'{rig.path}: generator.kind: {generator.kind!r} does not drive a simulated device; choose "simulated"'
+            )
         source = exciter = SimulatedExciter(rig.rate, generator.max_volts if generator else 10.0)
         drive = Drive(_drive_channel(rig, item), s.gain, shaker)
     device, faults = rig.toml.device, s.faults

@@ -17,6 +17,7 @@ from .rigs import hammer_rig, shaker_rig
         ([('role = "reference"', 'quantity = "force"\nrole = "monitor"')], "reference or base"),
         ([("[generator]\nmax_volts = 8.0\n", "[generator]\nmax_volts = -1\n")], "max_volts"),
         ([("seed = 3", "seed = 3\n[simulated.parameters]\nk = 1.0")], "the model has none"),
+        ([("max_volts = 8.0", 'kind = "scpi"\nmax_volts = 8.0')], "'scpi' does not drive a simulated device"),
     ],
 )
 def test_bad_rigs(tmp_path, changes, words):

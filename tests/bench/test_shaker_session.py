@@ -74,6 +74,23 @@ def test_stepped_sine_up_and_down(tmp_path):
     assert max(abs(h.info["off"]) for h in hits) <= 0.05
 
 
+def test_tones_are_measured_again_where_frames_were_lost(tmp_path):
+    changes = [
+        ('kind = "multisine"', 'kind = "stepped sine"\nlines = 8'),
+        ("levels = [0.5, 2.0]", "levels = [1.0]"),
+        ("[simulated.channel", "[simulated.faults]\ndropouts = 0.4\ndropout_frames = 77\n[simulated.channel"),
+    ]
+    rig = shaker_rig(tmp_path, *changes)
+    outcome = measure(rig, tmp_path / "out.h5")
+    with open_session(tmp_path / "out.h5") as session:
+        run = session.runs[0]
+        assert len(run.gaps()) > 5
+        assert not any(h.start < at < h.stop for h in run.hits for at in run.gaps())
+    found = outcome.frfs["stepped-sine 1 up"]
+    assert found.frequency.size == 8
+    assert agreement(rig, found) < 1.6
+
+
 def test_a_recording_without_excitation(tmp_path):
     rig = shaker_rig(tmp_path, ('kind = "multisine"', 'kind = "none"\nduration = 3.0'))
     outcome = measure(rig, tmp_path / "out.h5")
