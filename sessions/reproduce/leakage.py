@@ -100,7 +100,7 @@ def leakage_table(found: dict[str, Any]) -> str:
         "bias in % +- its standard error; RMS error in stated standard deviations (1 is honest);"
         f" errors beyond three, of {found['sets'] * len(names)}",
         f"{'block s':>8}{'lines/bw':>9}  {'model':24}"
-        + "".join(f"{n + ' %':>17}" for n in names)
+        + "".join(f"{n + ' %':>19}" for n in names)
         + "".join(f"{n + ' std':>8}" for n in names)
         + f"{'beyond 3':>10}",
     ]
@@ -108,7 +108,7 @@ def leakage_table(found: dict[str, Any]) -> str:
         bias = [f"{b:.3g} +- {s:.2g}" for b, s in zip(row["bias_percent"], row["bias_standard_error"], strict=True)]
         lines.append(
             f"{row['seconds']:8g}{row['lines_per_bandwidth']:9.1f}  {row['how']:24}"
-            + "".join(f"{b:>17}" for b in bias)
+            + "".join(f"{b:>19}" for b in bias)
             + "".join(f"{r:8.2f}" for r in row["rms_std"])
             + f"{row['beyond_three']:10d}"
         )

@@ -82,8 +82,8 @@ class Training:
         return Trained(features, fit_tuned(rows, theta, centres=centres, seed=self.seed, most=most))
 
     def noisy(self, samples: int, centres: int, noise: float) -> Trained:
-        """Ours, trained with noise: fewer centres than samples, and scores instead of means where damping allows."""
-        features = self._features("score" if self.case.features == "log" else self.case.features)
+        """Ours, trained with noise: fewer centres than samples."""
+        features = self._features(self.case.noisy)
         what = f"{samples} samples with {100 * noise:g} % noise"
         theta, rows = self._samples(features, samples, "sobol", noise, what)
         network = fit_tuned(rows, theta, centres=min(centres, samples), seed=self.seed, most=features.components)
