@@ -207,7 +207,7 @@ def _shortlist(leads: Sequence[Lead], part: float, most: int) -> list[Lead]:
     return out
 
 
-CLOSE = 0.75
+CLOSE = 0.85
 """Part of the best lead's gain above which another may turn out better when it is fitted,"""
 FAR = 0.3
 """and where the best leaves much unexplained."""
@@ -308,7 +308,7 @@ def at_places(
     for s in spots[:most]:
         lead = replace(tried.lead, spot=s, p=full)
         one = _fit_one(
-            study.engine, study.point, study.runs, scatter, chosen, tried.made.x[: tried.made.n_base], lead, 5
+            study.engine, study.point, study.runs, scatter, chosen, tried.made.x[: tried.made.n_base], lead, 3
         )
         if one is not None:
             out.append(one)
@@ -370,7 +370,9 @@ def further(
     leads: list[Lead] = []
     for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
         leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
-    leads = sorted((lead for lead in leads if lead.gain > alarm), key=lambda lead: -lead.gain)
+    excess = max(1.0, made.data_part / made.count)
+    least = max(alarm * excess, GAIN * (made.objective - made.count))
+    leads = sorted((lead for lead in leads if lead.gain > least), key=lambda lead: -lead.gain)
     best: Tried | None = None
     for lead in leads[: 1 if general else 2]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
