@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from labnnum.errors import ConfigError
 from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Mechanism, Place, Site, Term
 from labnnum.mechanisms.local_dashpot import relative
+from labnnum.nonlinear import Element
 from labnnum.parameters import Parameter
 
 
@@ -68,6 +69,15 @@ class NonlinearMechanism(Mechanism):
         if column is None:
             raise ConfigError(f"mechanism {self.id!r} cannot act at {place} along {axis!r}: there is no such motion")
         return self.term(place, variant, sign * column[:, 0])
+
+    def element(self, term: Term, p: Sequence[float]) -> Element:
+        """The law of a term for `labnnum.nonlinear`, in its words."""
+        law = {"coulomb-friction": "coulomb", "stick-slip": "jenkins", "hysteresis": "bouc-wen"}.get(self.id, self.id)
+        values = tuple(float(v) for v in p)
+        if self.id == "hysteresis":
+            k, limit, n, share = values
+            values = (k, share / limit**n, (1 - share) / limit**n, n)
+        return Element(law.removesuffix("-stiffness"), np.asarray(term.data["column"], float), values)
 
     def sense(self, term: Term, p: NDArray) -> str | None:
         """Hardening or softening where the sign of the first parameter says so."""

@@ -146,6 +146,23 @@ def search(
     return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found), tuple(held))
 
 
+def of_known(
+    engine: Engine, point: Point, runs: Sequence[Run], quiet: int, known: Sequence[Lead], scatter: Scatter,
+    lines: int = 250,
+) -> Study | None:  # fmt: skip
+    """The laws that a model holds already, fitted with the base; None where they do not settle."""
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
+    plain = Joint(engine, point, runs, (), scatter, chosen)
+    base = fit(plain, plain.start(), [None] * len(runs), steps=12)
+    joint = Joint(engine, point, runs, [lead.acting() for lead in known], scatter, chosen)
+    try:
+        made = fit(joint, joint.start(), [None] * len(runs), steps=8, exact=False)
+    except (EstimationError, np.linalg.LinAlgError):
+        return None
+    tried = Tried(known[0], made, cost(made, known[0].mechanism))
+    return Study(engine, point, tuple(runs), base, base, (tried,), None, (), joint.terms)
+
+
 def _fit_one(
     engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, x: NDArray, lead: Lead, steps: int
 ) -> Tried | None:
