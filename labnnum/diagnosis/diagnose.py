@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,9 @@ from labnnum.mechanisms.extended import ExtendedStructure
 from labnnum.mechanisms.local_law import LocalLaw, PairLaw
 from labnnum.mechanisms.loose import LooseChannel, LooseSupport
 from labnnum.structures.base import Structure
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.nonlinear.locate import Lead
 
 UNNAMED: tuple[Mechanism, ...] = (LocalLaw(), PairLaw(), LooseChannel(), LooseSupport())
 """What may be missing without having a name."""
@@ -97,7 +101,9 @@ def diagnose(
             diagnose, structure, places=places, span=span, scatter=scatter, limits=limits, catalogue=catalogue,
             progress=progress, nonlinear=False,
         )  # fmt: skip
-        whole = nonlinear_first(engine, gate, observations, held_out, where, scatter, limits, span, again, progress)
+        whole = nonlinear_first(
+            engine, gate, observations, held_out, where, scatter, limits, span, again, progress, _known(structure)
+        )  # fmt: skip
         if whole is not None:
             return whole
     _, terms = all_terms(engine, where, catalogue)
@@ -138,6 +144,21 @@ def _taken_apart(structure: Structure, train: Frf) -> tuple[Structure, list[tupl
                 term = replace(term, data={"channel": at})
         initial.append((term, np.array([p.nominal for p in added.parameters])))
     return structure.inner, initial
+
+
+def _known(structure: Structure) -> list[Lead]:
+    """Nonlinear laws that the structure holds."""
+    from labnnum.diagnosis.nonlinear.locate import Lead, Spot
+    from labnnum.diagnosis.nonlinear.march import N_P
+
+    out = []
+    for law in structure.laws if isinstance(structure, ExtendedStructure) else ():
+        p = np.zeros(N_P)
+        p[: len(law.parameters)] = [q.nominal for q in law.parameters]
+        term, column = law.term, np.asarray(law.term.data["column"], float)
+        reverse = term.variant.startswith("-")
+        out.append(Lead(Spot(term.place, term.variant, -column if reverse else column), term.mechanism.id, p, 0.0))
+    return out
 
 
 # -------------------------------------------------------------------- data

@@ -101,7 +101,9 @@ def test_signs_are_changes_with_level(elements, told):
 def test_stretches_that_are_held_out_are_not_fitted():
     parts = split(observe_all([recorded(noise(5.0), [])]), decay_time=1.0)
     (own,), (held,) = ([o.run for o in side] for side in (parts.train, parts.test))
-    assert own.period == held.period and own.open and not own.lasting
+    assert own.period == held.period
+    assert own.open
+    assert not own.lasting
     assert not np.allclose(own.u, held.u)
 
 

@@ -23,6 +23,8 @@ FORGOTTEN = 40.0
 """Decay times of the slowest mode, by the nominal damping, that a stretch of noise should last."""
 SILENT = 1e-4
 """Power of the input, of its largest, below which a line counts as not excited."""
+FAINT = 1e-2
+"""The same of a hit, whose spectrum falls off slowly: what drives little above is simulated, not compared."""
 SAME = 0.02
 """Power of one half of a record, of that of the other, below which a line was left out: the record sweeps."""
 HITS = 1
@@ -139,9 +141,10 @@ def _made(recording: Recording, spectra: NDArray, n: int, decay: float, ends: bo
     wide = max(u.size // 400, 5)
     power = uniform_filter1d(np.abs(run.seen(u)) ** 2, wide, mode="nearest")
     at = np.flatnonzero(power > SILENT * power.max())
+    driven = np.flatnonzero(power > (FAINT if decay else SILENT) * power.max())
     on = np.zeros(u.size, bool)
-    on[max(int(at[0]), 1) : int(at[-1]) + 1] = True
-    u[on.size - 1 if on[-1] else int(at[-1]) + 1 :] = 0.0
+    on[max(int(driven[0]), 1) : int(driven[-1]) + 1] = True
+    u[int(at[-1]) + 1 :] = 0.0
     if ends:
         u[: int(at[0])] = 0.0  # noise alone, which a free structure would take far
     seen = run.seen(y)

@@ -146,6 +146,23 @@ def search(
     return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found), tuple(held))
 
 
+def of_known(
+    engine: Engine, point: Point, runs: Sequence[Run], quiet: int, known: Sequence[Lead], scatter: Scatter,
+    lines: int = 250,
+) -> Study | None:  # fmt: skip
+    """The laws that a model holds already, fitted with the base; None where they do not settle."""
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
+    plain = Joint(engine, point, runs, (), scatter, chosen)
+    base = fit(plain, plain.start(), [None] * len(runs), steps=12)
+    joint = Joint(engine, point, runs, [lead.acting() for lead in known], scatter, chosen)
+    try:
+        made = fit(joint, joint.start(), [None] * len(runs), steps=8, exact=False)
+    except (EstimationError, np.linalg.LinAlgError):
+        return None
+    tried = Tried(known[0], made, cost(made, known[0].mechanism))
+    return Study(engine, point, tuple(runs), base, base, (tried,), None, (), joint.terms)
+
+
 def _fit_one(
     engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, x: NDArray, lead: Lead, steps: int
 ) -> Tried | None:
@@ -207,7 +224,7 @@ def _shortlist(leads: Sequence[Lead], part: float, most: int) -> list[Lead]:
     return out
 
 
-CLOSE = 0.75
+CLOSE = 0.85
 """Part of the best lead's gain above which another may turn out better when it is fitted,"""
 FAR = 0.3
 """and where the best leaves much unexplained."""
@@ -308,7 +325,7 @@ def at_places(
     for s in spots[:most]:
         lead = replace(tried.lead, spot=s, p=full)
         one = _fit_one(
-            study.engine, study.point, study.runs, scatter, chosen, tried.made.x[: tried.made.n_base], lead, 5
+            study.engine, study.point, study.runs, scatter, chosen, tried.made.x[: tried.made.n_base], lead, 3
         )
         if one is not None:
             out.append(one)
@@ -374,7 +391,9 @@ def further(
     leads: list[Lead] = []
     for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
         leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
-    leads = sorted((lead for lead in leads if lead.gain > alarm), key=lambda lead: -lead.gain)
+    excess = max(1.0, made.data_part / made.count)
+    least = max(alarm * excess, GAIN * (made.objective - made.count))
+    leads = sorted((lead for lead in leads if lead.gain > least), key=lambda lead: -lead.gain)
     best: Tried | None = None
     for lead in leads[: 1 if general else 2]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
