@@ -5,7 +5,7 @@
 A cantilevered beam on a shaker with a mass too many, as `labnnum prove linear` draws it, eight sensors. One quantity is
 varied at a time and the others stay at what the case has. Times are processor seconds of `labnnum.diagnosis.diagnose`
 alone (files read before), the least of the repeats; exponents are of a power law through the points, by least squares.
-At most 220 to 400 lines are looked at, however many there are (`choose_lines`), so that time does not grow with a record.
+At most 220 to 400 lines are looked at, however many there are (`choose_lines`): time does not grow with a record.
 """
 
 from __future__ import annotations

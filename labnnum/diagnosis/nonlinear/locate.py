@@ -251,10 +251,12 @@ def law_column(joint: Joint, found: Recovered, mechanism: str, p: NDArray, sign:
     return _through(joint, found, spectra_of(joint, forces))
 
 
-def spectra_of(joint: Joint, series: Sequence[NDArray]) -> list[NDArray[np.complex128]]:
-    """Spectra of a series in time for each run, (n,) on as many samples as the recovered motion has, as seen."""
+def spectra_of(joint: Joint, series: Sequence[NDArray]) -> list[NDArray]:
+    """Spectra of a series in time for each run, (n,) on as many samples as the recovered motion has, as seen; complex64."""
     pairs = zip(joint.runs, series, strict=True)
-    return [rfft((x * _window(run, x.size)).astype(np.float32)) * np.float32(2 / x.size) for run, x in pairs]
+    return [
+        np.asarray(rfft((x * _window(run, x.size)).astype(np.float32))) * np.float32(2 / x.size) for run, x in pairs
+    ]
 
 
 def _through(joint: Joint, found: Recovered, spectra: Sequence[NDArray]) -> NDArray[np.float64]:
