@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,23 +122,23 @@ def diagnose_files(
 
 def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
     """The model with its updated parameters, fitted damping and named mechanisms, as a model of its own."""
-    tables = {k: v for k, v in model.raw.items() if k != "mechanism"}
-    made = d.detail["final"]
-    tables = _updated(path, model, tables, made.point.theta)
     ratios = [float(f"{z:.6g}") for z in _ratios(d)]
+    tables = dict(model.raw)
     if tables["structure"].get("kind") == "modal":
         own = [{**m, "damping_ratio": z} for m, z in zip(tables["structure"]["mode"], ratios, strict=False)]
         tables["structure"] = {**tables["structure"], "mode": own}
     else:
         tables["damping"] = {"kind": "modal", "ratio": ratios}
-    moved = Model(
-        model.structure,
-        model.bands,
-        model.places,
-        tables,
-        path if tables["structure"] is not model.raw["structure"] else model.path,
-    )
-    write_model(path, moved, [*_entries(d, path.parent), *_kept_laws(d, model)])
+    damped = replace(model, raw=tables)
+    write_updated(path, damped, d.detail["final"].point.theta, _entries(d, path.parent))
+
+
+def write_updated(path: Path, model: Model, theta: np.ndarray, entries: Sequence[Mapping[str, Any]]) -> None:
+    """The model with nominal parameters `theta` and the [[mechanism]] `entries` in place of its own, at `path`."""
+    own = {k: v for k, v in model.raw.items() if k != "mechanism"}
+    tables = _updated(path, model, own, theta)
+    moved = path if tables["structure"] is not own["structure"] else model.path
+    write_model(path, replace(model, raw=tables, path=moved), entries)
 
 
 def _ratios(d: Diagnosis) -> np.ndarray:

@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 from labnnum.diagnosis import Limits, Scatter
 from labnnum.errors import FileError
+from sessions.diagnose import write_updated
 from sessions.modal_fit import ModalFit, best_fit, candidates, fit_modes, frequencies
 from sessions.model import Model, read_model
 
@@ -73,6 +74,13 @@ def diagnose_modes(
     table: NDArray, model: Model, scatter: Scatter | None = None, limits: Limits | None = None
 ) -> dict[str, Any]:
     """Content of diagnosis.json from repeats of natural frequencies, shape (n_repeats, n_modes)."""
+    return examine(table, model, scatter, limits)[0]
+
+
+def examine(
+    table: NDArray, model: Model, scatter: Scatter | None = None, limits: Limits | None = None
+) -> tuple[dict[str, Any], ModalFit]:
+    """Content of diagnosis.json, and the fit that it stands on: of what was named, else of the base."""
     scatter, limits = scatter or Scatter(), limits or Limits()
     structure = model.structure
     mean, n, m = table.mean(axis=0), len(table), table.shape[1]
@@ -88,7 +96,7 @@ def diagnose_modes(
         moved = np.abs(base.theta - structure.nominal) > 2 * base.std[: base.theta.size]
         verdict = "parameters" if np.any(moved) else "consistent"
     named = ranked[0] if verdict == "missing-physics" else None
-    return _content(verdict, base, ranked, named, table, model, scatter, limits)
+    return _content(verdict, base, ranked, named, table, model, scatter, limits), named or base
 
 
 def _content(
@@ -242,9 +250,25 @@ def _next(verdict: str) -> str:
 def diagnose_modal_file(
     table: str | Path, model: str | Path, out: str | Path, scatter: Scatter | None = None
 ) -> dict[str, Any]:
-    """Content of diagnosis.json, written into the folder `out`, from a table of natural frequencies."""
-    content = diagnose_modes(read_modal_table(table), read_model(model), scatter)
+    """Content of diagnosis.json from a table of natural frequencies, written into the folder `out` with its page and
+    extended.toml, the model with its updated parameters and what was named.
+    """
+    read = read_model(model)
+    content, fit = examine(read_modal_table(table), read, scatter)
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "diagnosis.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_updated(folder / "extended.toml", read, fit.theta, _entries(fit))
+    from sessions.report.modal_diagnosis import write_modal_page
+
+    write_modal_page(folder / "diagnosis.html", read.path.stem, content)
     return content
+
+
+def _entries(fit: ModalFit) -> list[dict[str, Any]]:
+    """The [[mechanism]] entry of what was named; none for a base."""
+    if fit.term is None:
+        return []
+    place = {k: v for k, v in fit.term.place.as_dict().items() if v is not None}
+    entry = {"id": fit.term.mechanism.id, "place": place, "parameters": _mechanism(fit)["parameters"]}
+    return [entry | ({"variant": fit.term.variant} if fit.term.variant else {})]

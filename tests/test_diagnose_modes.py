@@ -94,7 +94,12 @@ def test_the_four_storeys_miss_what_a_single_factor_cannot_give(recordings, tmp_
     missing = [m["missing"] / m["std_of_mean"] for m in said["modes"]]
     assert max(missing[:2]) < -10
     assert min(missing[2:]) > 10
-    assert (tmp_path / "diagnosis.json").is_file()
+    page = (tmp_path / "diagnosis.html").read_text(encoding="utf-8")
+    assert "Mode by mode" in page
+    assert "<svg" in page
+    again = read_model(tmp_path / "extended.toml")
+    stated = [p["value"] for p in said["parameters"].values()]
+    np.testing.assert_allclose(again.structure.nominal, stated)
 
 
 def test_tables_are_told_from_other_files(tmp_path):

@@ -252,7 +252,7 @@ def law_column(joint: Joint, found: Recovered, mechanism: str, p: NDArray, sign:
 
 
 def spectra_of(joint: Joint, series: Sequence[NDArray]) -> list[NDArray]:
-    """Spectra of a series in time for each run, (n,) on as many samples as the recovered motion has, as seen; complex64."""
+    """Spectra, complex64, of a series in time for each run, (n,) on as many samples as the recovered motion has."""
     pairs = zip(joint.runs, series, strict=True)
     return [
         np.asarray(rfft((x * _window(run, x.size)).astype(np.float32))) * np.float32(2 / x.size) for run, x in pairs
