@@ -53,16 +53,9 @@ def test_a_gross_fault_is_named_where_it_is(tmp_path, fault, severity, verdict):
     assert abs(stated["value"] - true["value"]) < max(0.1 * abs(true["value"]), 4 * stated["std"])
 
 
-@pytest.mark.parametrize(
-    ("structure", "fault", "severity"),
-    [
-        ("chain", "misplaced-sensor", 0.9),
-        ("base-beam", "rocking-base", 0.9),
-        ("chain", "gyroscopic-coupling", 0.8),
-    ],
-)
-def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault, severity):
-    truth, content = diagnosed(tmp_path, 2, structure, fault, severity)
+@pytest.mark.parametrize(("structure", "fault"), [("chain", "misplaced-sensor"), ("base-beam", "rocking-base")])
+def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault):
+    truth, content = diagnosed(tmp_path, 2, structure, fault, 0.9)
     (concealed,) = truth["faults"]
     assert content["verdict"] == "unexplained"
     assert content["mechanism"] is None
