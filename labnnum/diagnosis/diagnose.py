@@ -399,54 +399,59 @@ def _worthwhile(
     engine: Engine, lines: Frf, data: Data, selection: Selection, limits: Limits, scatter: Scatter,
     base: tuple[Fit, tuple[float, float]], errors: Callable[[Fit], tuple[float, float]],
 ) -> tuple[Selection, Fit, tuple[float, float]]:  # fmt: skip
-    """The chain as far as each further mechanism improves the prediction; its model as used, and its errors."""
-    chain = list(selection.chain[:1])
-    base_terms = chain[0].terms
-    idle: list[bool] = []
+    """The chain as far as its mechanisms improve the prediction; its model as used, and its errors.
+
+    What one mechanism began a later one may show. Then those go without which the rest predicts as well: the first
+    that came may have stood in for those after it.
+    """
+    before, kept = selection.chain[0], 0
     plain, error = base
     tried = [(c, trimmed(engine, lines, c.fit, scatter)) for c in selection.chain[1:]]
     for i, (_, made) in enumerate(tried):
-        told, passed = errors(made), i + 1 - len(idle)
-        if i and told[1] > min(limits.improve_further**passed * error[1], limits.improve ** (i + 1) * base[1][1]):
-            continue  # a later one may show what this one began
-        idle += [False] * (passed - 1) + [told[1] > 0.95 * error[1]]
-        chain += [c for c, _ in tried[len(chain) - 1 : i + 1]]
-        plain, error = made, told
-    alone = [True] * (len(idle) - 1) + [False]
-    for drop in (alone, [*idle[:-1], False]) if len(chain) > 2 else ():
-        if not any(drop):
-            continue
-        leaner = _without(engine, data, chain, drop, scatter)
-        made = trimmed(engine, lines, leaner.fit, scatter)
         told = errors(made)
-        if told[1] <= 1.1 * error[1]:
-            kept = [i for i, dropped in enumerate(drop) if not dropped]
-            stages = tuple(selection.stages[i] for i in kept)
-            steps = [_cut(leaner, len(base_terms) + i + 1) for i in range(len(kept))]
-            return replace(selection, chain=(chain[0], *steps[:-1], leaner), stages=stages), made, told
-    return replace(selection, chain=tuple(chain), stages=selection.stages[: max(len(chain) - 1, 1)]), plain, error
+        if i and told[1] > min(
+            limits.improve_further ** (i + 1 - kept) * error[1], limits.improve ** (i + 1) * base[1][1]
+        ):
+            continue
+        kept, plain, error = i + 1, made, told
+    stages: tuple[tuple[Candidate, ...], ...] = selection.stages[: max(kept, 1)]
+    last = selection.chain[kept]
+    while kept and len(stages) > 1:
+        leaner = [_without(engine, data, last, len(before.terms) + i, scatter) for i in range(len(stages))]
+        used = [trimmed(engine, lines, c.fit, scatter) for c in leaner]
+        left = [errors(made) for made in used]
+        i = min(range(len(left)), key=lambda k: left[k][1])
+        if left[i][1] > 1.1 * error[1]:
+            last, stages = _foremost(last, len(before.terms), stages, [t[1] for t in left])
+            break
+        last, plain, error = leaner[i], used[i], left[i]
+        stages = (*stages[:i], *stages[i + 1 :])
+    steps = [replace(last, terms=last.terms[: len(before.terms) + i + 1]) for i in range(len(stages) - 1)]
+    return replace(selection, chain=(before, *steps, last) if kept else (before,), stages=stages), plain, error
 
 
-def _without(
-    engine: Engine, data: Data, chain: Sequence[Candidate], drop: Sequence[bool], scatter: Scatter
-) -> Candidate:
-    """The last model without the terms marked in `drop`, one flag a step of the chain, fitted anew."""
-    last, n = chain[-1], len(chain[0].terms)
-    terms, values, at = [], [], 0
-    for i, term in enumerate(last.terms):
-        p = last.fit.point.terms[at : at + term.n]
-        at += term.n
-        if i < n or not drop[i - n]:
-            terms.append(term)
-            values.append(p)
-    point = replace(last.fit.point, terms=np.concatenate([np.empty(0), *values]))
-    made = fit(engine, data, terms, scatter, point.vector(), steps=25)
-    return Candidate(tuple(terms), made, last.cost)
+def _foremost(
+    last: Candidate, n: int, stages: Sequence[tuple[Candidate, ...]], without: Sequence[float]
+) -> tuple[Candidate, tuple[tuple[Candidate, ...], ...]]:
+    """The last model with its new terms, those after the first `n`, ordered: what is missed most comes first."""
+    order = [*range(n), *(n + i for i in sorted(range(len(without)), key=lambda i: -without[i]))]
+    sizes = np.cumsum([0, *(t.n for t in last.terms)])
+    pick = np.concatenate([np.arange(sizes[i], sizes[i + 1]) for i in order]).astype(int)
+    first = last.fit.point.theta.size
+    every = np.arange(last.fit.covariance.shape[0])
+    every[first : first + pick.size] = first + pick
+    terms = tuple(last.terms[i] for i in order)
+    point = replace(last.fit.point, terms=last.fit.point.terms[pick])
+    made = replace(last.fit, terms=terms, point=point, covariance=last.fit.covariance[np.ix_(every, every)])
+    return replace(last, terms=terms, fit=made), tuple(stages[i - n] for i in order[n:])
 
 
-def _cut(candidate: Candidate, n: int) -> Candidate:
-    """The candidate with its first `n` terms named, its fit as it is."""
-    return replace(candidate, terms=candidate.terms[:n])
+def _without(engine: Engine, data: Data, last: Candidate, which: int, scatter: Scatter) -> Candidate:
+    """The last model without one of its terms, fitted anew."""
+    sizes = np.cumsum([0, *(t.n for t in last.terms)])
+    terms = (*last.terms[:which], *last.terms[which + 1 :])
+    point = replace(last.fit.point, terms=np.delete(last.fit.point.terms, np.arange(sizes[which], sizes[which + 1])))
+    return Candidate(terms, fit(engine, data, terms, scatter, point.vector(), steps=25), last.cost)
 
 
 def _missing(
