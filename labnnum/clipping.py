@@ -15,6 +15,9 @@ A smooth peak, a parabola at its top, holds as many in both; one of fourth order
 PAIRS = 6
 """Samples at the rail up to which two in a row count: more pairs are a signal sampled in step with its period."""
 
+LEVELS = 200
+"""Sizes that a signal must take for a return to the very same one to tell anything."""
+
 AT_RAIL = 0.995
 """Share of a known full scale from which a sample counts as overloaded."""
 
@@ -63,7 +66,23 @@ def clipped_runs(signal: ArrayLike, full_scale: float | None = None) -> list[tup
             held = _noisy_plateau(side, step, noise)
         if held is not None:
             found += runs(held)
-    return sorted(found)
+    return sorted(found) or _both_rails(x, step)
+
+
+def _both_rails(x: NDArray, step: float) -> list[tuple[int, int]]:
+    """Stretches in which a fast signal swings from the one rail to the other: too short at either for a plateau.
+
+    Three samples in a row of the same size and both signs are no peak; only a pure sine of four samples a period does
+    that too, and it does it throughout.
+    """
+    size = np.abs(x)
+    top = size.max()
+    slack = 1e-9 * top + 0.25 * min(step, 1e-6 * top)
+    held = size >= top - slack
+    below = np.count_nonzero((size < top - slack) & (size >= top - slack - 3 * step))
+    turning = [(a, b) for a, b in runs(held) if b - a >= 3 and x[a:b].min() < 0 < x[a:b].max()]
+    enough = FLATNESS * below < np.count_nonzero(held) <= 0.5 * x.size
+    return runs(held) if turning and enough and np.unique(size).size >= LEVELS else []
 
 
 def _exact_plateau(side: NDArray, step: float, noise: float) -> NDArray | None:

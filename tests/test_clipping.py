@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labnnum.clipping import clipped_runs, noise_level, resolution, runs
+from labnnum.clipping import _both_rails, clipped_runs, noise_level, resolution, runs
 
 T = np.arange(20000) / 20000
 
@@ -70,3 +70,22 @@ def test_resolution_and_noise_are_measured():
 
 def _digitised(x, bits):
     return np.round(x * 2 ** (bits - 1)) / 2 ** (bits - 1) if bits else x
+
+
+def test_a_fast_signal_that_swings_between_both_rails_is_found():
+    t = np.arange(4000)
+    ringing = np.exp(-t / 300) * np.sin(2 * np.pi * 0.24 * t + 0.4)
+    for bits in (0, 12):
+        x = np.clip(ringing, -0.6, 0.6)
+        x = np.round(x * 2048) / 2048 if bits else x
+        assert clipped_runs(x), bits
+    assert clipped_runs(ringing) == []
+    assert clipped_runs(np.round(ringing * 2048) / 2048) == []
+
+
+@pytest.mark.parametrize("period", [3, 4, 5, 6, 8, 12])
+def test_a_sine_in_step_with_the_rate_swings_between_no_rails(period):
+    t = np.arange(4000)
+    assert clipped_runs(np.sin(2 * np.pi * t / period + np.pi / 4) + 1e-4 * np.sin(0.377 * t**1.1)) == []
+    few = np.random.default_rng(0).integers(-2, 3, 4000).astype(float)
+    assert not [r for r in _both_rails(few, 1.0)]
