@@ -34,8 +34,8 @@ nominal = 8e5
 lower = 6e5
 upper = 1e6
 [[band]]
-low = 20.0
-high = 200.0
+low = 25.0
+high = 190.0
 """
 LAW = """
 [[mechanism]]
