@@ -115,3 +115,15 @@ def test_a_sweep_holds_out_lines():
     (own,), (held,) = ([o.run for o in side] for side in (parts.train, parts.test))
     assert not (own.compared & held.compared).any()
     assert 0.2 < held.compared.sum() / own.inside.sum() < 0.3
+
+
+def test_with_two_inputs_at_once_nothing_is_told():
+    rows = []
+    for level, seed in ((5.0, 1), (25.0, 2)):
+        one = recorded(noise(level, seed=seed), [Element("cubic", joint_23(), CUBIC)])
+        second = Channel("g", "force", "reference", "1", "x")
+        data = np.vstack([one.data, noise(level, seed=seed + 10)])
+        rows.append(Recording((*one.channels, second), data, RATE, label=f"level {level:g}"))
+    observations = observe_all(rows)
+    assert not changed(observations)
+    assert not split(observations, decay_time=1.0).train

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.detect import signs
+from labnnum.diagnosis.nonlinear.further import further
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
+from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
-from labnnum.diagnosis.nonlinear.problem import Joint, Made, choose_lines
+from labnnum.diagnosis.nonlinear.problem import Joint, Made
 from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, further, of_known, refined, search
+from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, of_known, refined, search
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.verdict import Alternative, Limits, Named

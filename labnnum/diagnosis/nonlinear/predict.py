@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer
-from labnnum.diagnosis.nonlinear.problem import Joint, Lines
+from labnnum.diagnosis.nonlinear.lines import Lines
+from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.recording import Recording
 

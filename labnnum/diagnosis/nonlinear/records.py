@@ -52,13 +52,18 @@ def split(observations: Sequence[Observation], decay_time: float) -> Split:
     test: list[Observation] = []
     whole: list[Observation] = []
     for o in observations:
-        if not o.recordings:
+        if not _fit_for_it(o):
             continue
         own, held = _hits(o) if o.kind == "hammer" else _stretches(o, decay_time)
         train += [replace(o, run=r, level=r.level) for r in own]
         test += [replace(o, run=r, level=r.level) for r in held]
         whole.append(o)
     return Split(tuple(train), tuple(test), tuple(whole))
+
+
+def _fit_for_it(o: Observation) -> bool:
+    """Whether it has samples, all of them the answers to one input."""
+    return bool(o.recordings) and len(o.frf.inputs) == 1 and len(o.recordings[0].inputs) == 1
 
 
 # -------------------------------------------------------------------- hits
@@ -171,7 +176,7 @@ SURE = 1.4
 
 def changed(observations: Sequence[Observation]) -> bool:
     """Whether FRFs of hits or noise change with level in two channels at least (in one where there is one)."""
-    known = [o for o in observations if o.recordings and np.isfinite(o.level)]
+    known = [o for o in observations if _fit_for_it(o) and np.isfinite(o.level)]
     for kind in {o.kind for o in known}:
         same = sorted((o for o in known if o.kind == kind), key=lambda o: o.level)
         if len(same) > 1 and same[-1].level > 1.3 * same[0].level and _differ(same[0], same[-1]):
@@ -180,6 +185,8 @@ def changed(observations: Sequence[Observation]) -> bool:
 
 
 def _differ(low: Observation, high: Observation) -> bool:
+    if [(c.name, c.dof) for c in low.frf.inputs] != [(c.name, c.dof) for c in high.frf.inputs]:
+        return False  # a hammer that roves
     one, other = (_frf(o) for o in (low, high))
     _, i, j = np.intersect1d(np.round(one[0], 6), np.round(other[0], 6), return_indices=True)
     if i.size < 8 or one[1].shape[0] != other[1].shape[0]:

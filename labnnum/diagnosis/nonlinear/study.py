@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.laws import SHAPES
+from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import (
     Background,
     Lead,
@@ -22,9 +24,8 @@ from labnnum.diagnosis.nonlinear.locate import (
     recover,
 )  # fmt: skip
 from labnnum.diagnosis.nonlinear.march import N_P
-from labnnum.diagnosis.nonlinear.problem import Acting, Joint, Made, choose_lines, fit
+from labnnum.diagnosis.nonlinear.problem import Joint, Made, fit
 from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.errors import EstimationError
 
 LAWS = (
@@ -69,7 +70,6 @@ class Study:
     tried: tuple[Tried, ...]
     general: Tried | None
     recovered: tuple[Recovered, ...]
-    held: tuple[Acting, ...]
 
     @property
     def best(self) -> Tried:
@@ -104,8 +104,7 @@ def cost(made: Made, mechanism: str) -> float:
 
 def search(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
-    *, lines: int = 160, held: Sequence[Acting] = (), held_x: NDArray | None = None,
-    progress: Callable[[str], None] = lambda text: None,
+    *, lines: int = 160, progress: Callable[[str], None] = lambda text: None,
 ) -> Study | None:  # fmt: skip
     """Fit the base, locate, regress, and fit the best laws by simulation.
 
@@ -116,12 +115,11 @@ def search(
     quiet : int
         Number of the one that distorts least.
     spots : sequence of Spot
-    held : sequence of Acting
-        Laws that act already, with `held_x` the vector of their fit.
     """
-    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
     calm = fit(alone, alone.start(), [None], steps=15)
+    runs = [_with_distortion(engine, point, r, calm.x, scatter) for r in runs]
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     plain = Joint(engine, point, runs, (), scatter, chosen)
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
     background = Background(plain, calm.x[: plain.n_base])
@@ -143,7 +141,16 @@ def search(
     if not plain_enough:
         general = sorted((general_lead(background, q) for q in found[:NEAREST]), key=lambda lead: -lead.gain)
         law = _general(engine, point, runs, scatter, chosen, tried[0].made, general, tried)
-    return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found), tuple(held))
+    return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found))
+
+
+def _with_distortion(engine: Engine, point: Point, run: Run, x: NDArray, scatter: Scatter) -> Run:
+    """The run with what the base model at `x` leaves of it, where it has no detection lines."""
+    if run.quiet.any():
+        return run
+    joint = Joint(engine, point, [run], (), scatter, [choose_lines(run, 2, scatter.floor)], whole=True)
+    left = np.abs(run.seen(run.y - joint.predict(x, [None])[0])) ** 2
+    return replace(run, distortion=uniform_filter1d(left, 15, axis=1, mode="nearest"))
 
 
 def of_known(
@@ -160,7 +167,7 @@ def of_known(
     except (EstimationError, np.linalg.LinAlgError):
         return None
     tried = Tried(known[0], made, cost(made, known[0].mechanism))
-    return Study(engine, point, tuple(runs), base, base, (tried,), None, (), joint.terms)
+    return Study(engine, point, tuple(runs), base, base, (tried,), None, ())
 
 
 def _fit_one(
@@ -358,71 +365,3 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     ratio = best.made.count / everyone[0].made.count
     rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
     return sorted([*done, *rest], key=lambda t: t.cost)
-
-
-GAIN = 0.1
-"""Share of what the laws so far leave beyond noise that one more must remove."""
-
-
-def further(
-    study: Study, first: Tried, spots: Sequence[Spot], scatter: Scatter, alarm: float, lines: int = 250, *,
-    general: bool = False,
-) -> Tried | None:  # fmt: skip
-    """One more law beside those of `first`: the best that any spot's remaining force asks for, fitted with them.
-
-    Parameters
-    ----------
-    general : bool
-        Whether the general law is tried, instead of named ones, at the places that act already.
-
-    Returns
-    -------
-    Tried or None
-        Its `made` holds the laws so far and the new one; None where none gains `alarm` and `GAIN` of the excess.
-    """
-    engine, point, runs = study.engine, study.point, study.runs
-    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
-    held = first.made.terms
-    joint = Joint(engine, point, runs, held, scatter, chosen)
-    made = fit(joint, first.made.x, first.made.orbits, steps=2, exact=False)
-    background = Background(joint, made.x, made.orbits)
-    here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
-    found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])
-    leads: list[Lead] = []
-    for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
-        leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
-    excess = max(1.0, made.data_part / made.count)
-    least = max(alarm * excess, GAIN * (made.objective - made.count))
-    leads = sorted((lead for lead in leads if lead.gain > least), key=lambda lead: -lead.gain)
-    best: Tried | None = None
-    for lead in leads[: 1 if general else 2]:
-        more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
-        m = engine.band_modes.size
-        base, laws = made.x[: made.n_base], made.x[made.n_base :]
-        x = np.concatenate([base, np.zeros(m), laws, lead.p[: lead.acting().n]])
-        start = [_with_one_more(o) for o in made.orbits]
-        try:
-            one = fit(more, x, start, steps=8, exact=False)
-        except (EstimationError, np.linalg.LinAlgError):
-            continue
-        tried = Tried(lead, one, cost(one, lead.mechanism))
-        if best is None or tried.cost < best.cost:
-            best = tried
-    if best is None:
-        return None
-    excess = max(1.0, best.made.data_part / best.made.count)
-    gain = (made.objective - best.cost) / excess
-    left = max(made.objective - made.count, 1.0) / excess
-    return best if gain > max(alarm, GAIN * left) else None
-
-
-def _with_one_more(o: Orbit | None) -> Orbit | None:
-    """The orbit with a further force that is still zero."""
-    if o is None:
-        return None
-    zero = np.zeros_like(o.force[:1])
-    return Orbit(
-        o.x, np.append(o.f, 0.0), np.vstack([o.memory, np.zeros((1, 2))]), np.vstack([o.force, zero]),
-        np.hstack([o.time, np.zeros((o.time.shape[0], 1))]),
-        np.concatenate([o.motion, np.zeros((o.motion.shape[0], 1, 2))], axis=1), o.closing,
-    )  # fmt: skip

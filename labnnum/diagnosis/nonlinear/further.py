@@ -1,0 +1,82 @@
+"""One more law beside those that were found: the best that any place's remaining force asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, general_lead, law_leads, ranked, recover
+from labnnum.diagnosis.nonlinear.problem import Joint, fit
+from labnnum.diagnosis.nonlinear.steady import Orbit
+from labnnum.diagnosis.nonlinear.study import LAWS, Study, Tried, cost
+from labnnum.errors import EstimationError
+
+GAIN = 0.1
+"""Share of what the laws so far leave beyond noise that one more must remove."""
+
+
+def further(
+    study: Study, first: Tried, spots: Sequence[Spot], scatter: Scatter, alarm: float, lines: int = 250, *,
+    general: bool = False,
+) -> Tried | None:  # fmt: skip
+    """One more law beside those of `first`: the best that any spot's remaining force asks for, fitted with them.
+
+    Parameters
+    ----------
+    general : bool
+        Whether the general law is tried, instead of named ones, at the places that act already.
+
+    Returns
+    -------
+    Tried or None
+        Its `made` holds the laws so far and the new one; None where none gains `alarm` and `GAIN` of the excess.
+    """
+    engine, point, runs = study.engine, study.point, study.runs
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
+    held = first.made.terms
+    joint = Joint(engine, point, runs, held, scatter, chosen)
+    made = fit(joint, first.made.x, first.made.orbits, steps=2, exact=False)
+    background = Background(joint, made.x, made.orbits)
+    here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
+    found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])
+    leads: list[Lead] = []
+    for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
+        leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
+    excess = max(1.0, made.data_part / made.count)
+    least = max(alarm * excess, GAIN * (made.objective - made.count))
+    leads = sorted((lead for lead in leads if lead.gain > least), key=lambda lead: -lead.gain)
+    best: Tried | None = None
+    for lead in leads[: 1 if general else 2]:
+        more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
+        m = engine.band_modes.size
+        base, laws = made.x[: made.n_base], made.x[made.n_base :]
+        x = np.concatenate([base, np.zeros(m), laws, lead.p[: lead.acting().n]])
+        start = [_with_one_more(o) for o in made.orbits]
+        try:
+            one = fit(more, x, start, steps=8, exact=False)
+        except (EstimationError, np.linalg.LinAlgError):
+            continue
+        tried = Tried(lead, one, cost(one, lead.mechanism))
+        if best is None or tried.cost < best.cost:
+            best = tried
+    if best is None:
+        return None
+    excess = max(1.0, best.made.data_part / best.made.count)
+    gain = (made.objective - best.cost) / excess
+    left = max(made.objective - made.count, 1.0) / excess
+    return best if gain > max(alarm, GAIN * left) else None
+
+
+def _with_one_more(o: Orbit | None) -> Orbit | None:
+    """The orbit with a further force that is still zero."""
+    if o is None:
+        return None
+    zero = np.zeros_like(o.force[:1])
+    return Orbit(
+        o.x, np.append(o.f, 0.0), np.vstack([o.memory, np.zeros((1, 2))]), np.vstack([o.force, zero]),
+        np.hstack([o.time, np.zeros((o.time.shape[0], 1))]),
+        np.concatenate([o.motion, np.zeros((o.motion.shape[0], 1, 2))], axis=1), o.closing,
+    )  # fmt: skip
