@@ -43,6 +43,8 @@ class Observation:
     """Channel -> largest magnitude, in its SI unit."""
     run: Run | None = None
     """Spectra of a periodic run, for the nonlinear diagnosis."""
+    recordings: tuple[Recording, ...] = ()
+    """What hits or random data were recorded, for the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +277,9 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     )  # fmt: skip
     level = float(np.median(np.max(np.abs(x[:, first.inputs[0]]), axis=1)))
     clipped, peaks = _rails(recordings)
-    return Observation(_heard(frf), level, first.label, "hammer", clipped=clipped, peaks=peaks)
+    return Observation(
+        _heard(frf), level, first.label, "hammer", clipped=clipped, peaks=peaks, recordings=tuple(recordings)
+    )  # fmt: skip
 
 
 def observe_all(recordings: Sequence[Recording]) -> list[Observation]:
@@ -337,7 +341,8 @@ def _random(recording: Recording) -> Observation:
     n = int(2 ** np.floor(np.log2(max(longest / 15, 64))))
     made = H1(Welch(n, window="hann", overlap=0.5))(recording)
     keep = _driven(made)
-    return Observation(_trusted(_with_noise(made.at(keep))), 0.0, recording.label, "random")
+    frf = _trusted(_with_noise(made.at(keep)))
+    return Observation(frf, 0.0, recording.label, "random", recordings=(recording,))
 
 
 def _driven(frf: Frf) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.locate import Spot, spots
+from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
 from labnnum.diagnosis.nonlinear.problem import Joint, Made, choose_lines
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
@@ -23,6 +24,7 @@ from labnnum.diagnosis.verdict import Alternative, Limits, Named
 from labnnum.mechanisms import CATALOGUE
 from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+from labnnum.recording import Recording
 
 UNCONFIRMED = "no nonlinear law gains more than a sound structure's scatter"
 """Signs without a law: a converter's steps and a shaker's harmonics repeat every period as well."""
@@ -68,23 +70,31 @@ class NonlinearAnswer:
 def answer(
     engine: Engine, train: Sequence[Observation], test: Sequence[Observation], places: Places, scatter: Scatter,
     limits: Limits, span: tuple[float, float], progress: Callable[[str], None] = lambda text: None,
+    others: Sequence[Observation] = (),
 ) -> NonlinearAnswer | None:  # fmt: skip
     """What nonlinear physics the observations show; None where they show none.
 
     Parameters
     ----------
     train, test : sequence of Observation
-        Periodic runs with their spectra; others are passed over.
+        Periodic runs with their spectra.
+    others : sequence of Observation
+        Hits and random data, which are looked at where there are no periodic runs.
     span : (low, high)
         Band in Hz.
     """
     train = sorted((o for o in train if o.run is not None), key=lambda o: o.level)
     test = sorted((o for o in test if o.run is not None), key=lambda o: o.level)
     runs = [o.run for o in train if o.run is not None]
+    whole: tuple[Observation, ...] = ()
     if not runs:
-        return None
-    shown = signs(runs)
-    if not shown.present:
+        if not changed(others):
+            return None
+        parts = split(others)
+        train = sorted((_within(o, span) for o in parts.train), key=lambda o: o.level)
+        test = sorted((_within(o, span) for o in parts.test), key=lambda o: o.level)
+        runs, whole = [o.run for o in train if o.run is not None], parts.whole
+    elif not signs(runs).present:
         return None
     train, runs = _levels(train, runs)
     i = quietest(runs)
@@ -98,7 +108,14 @@ def answer(
     tried = refined(found, scatter, _rivals(found, every, scatter))
     found = replace(found, tried=tuple(tried))
     laws = _chain(found, every, train, test, scatter, limits, progress)
-    return _decide(found, laws, train, test, scatter, limits)
+    return _decide(found, laws, train, test, scatter, limits, whole)
+
+
+def _within(o: Observation, span: tuple[float, float]) -> Observation:
+    """The observation with its run compared inside the band only."""
+    assert o.run is not None
+    inside = (o.run.frequency >= span[0]) & (o.run.frequency <= span[1])
+    return replace(o, run=replace(o.run, use=inside if o.run.use is None else o.run.use & inside))
 
 
 FURTHER = 0.97
@@ -154,7 +171,7 @@ def _rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried
 
 def _decide(
     found: Study, laws: Sequence[Tried], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
-    limits: Limits,
+    limits: Limits, whole: Sequence[Observation] = (),
 ) -> NonlinearAnswer:  # fmt: skip
     best, base, last = found.best, found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
@@ -188,12 +205,15 @@ def _decide(
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
-    linear = _linearised(joint, x, orbits, (*train, *test))
+    if whole:
+        linear, n_train = linearised_records(found, last, whole, scatter), len(whole)
+    else:
+        linear, n_train = _linearised(found, last, orbits, (*train, *test), scatter), len(train)
     alternatives = _alternatives(best, rivals, limits)
     located = _located(found)
     return NonlinearAnswer(
         named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
-        tuple(linear[: len(train)]), tuple(linear[len(train) :]), _curves(found, best), found, tuple(laws), misfit,
+        tuple(linear[:n_train]), tuple(linear[n_train:]), _curves(found, best), found, tuple(laws), misfit,
     )  # fmt: skip
 
 
@@ -260,8 +280,8 @@ def _noise(observations: Sequence[Observation]) -> float:
     parts = []
     for o in observations:
         assert o.run is not None
-        at = o.run.inside
-        parts.append(np.sum(o.run.noise[:, at], axis=1) / np.sum(np.abs(o.run.y[:, at]) ** 2, axis=1))
+        at = o.run.compared
+        parts.append(np.sum(o.run.noise[:, at], axis=1) / np.sum(np.abs(o.run.seen(o.run.y)[:, at]) ** 2, axis=1))
     return float(np.sqrt(np.mean(parts)))
 
 
@@ -296,27 +316,72 @@ def _errors_of(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) ->
     each = []
     for run, lines, part in zip(joint.runs, joint.lines, np.split(left, cuts[:-1], axis=1), strict=True):
         spread = np.tile(lines.sigma, 2) / np.sqrt(2.0)
-        power = np.sum(np.abs(run.y[:, lines.at]) ** 2, axis=1)
+        power = np.sum(np.abs(run.seen(run.y)[:, lines.at]) ** 2, axis=1)
         each.append(np.mean(np.sum((part * spread) ** 2, axis=1) / power))
     train, test = each[:n_train], each[n_train:] or each[:n_train]
     return float(np.sqrt(np.mean(train))), float(np.sqrt(np.mean(test)))
 
 
 def _linearised(
-    joint: Joint, x: NDArray, orbits: Sequence[Any], observations: Sequence[Observation]
+    found: Study, last: Tried, orbits: Sequence[Any], observations: Sequence[Observation], scatter: Scatter
 ) -> list[Observation]:
     """Observations whose FRFs lack what the nonlinear force adds, with what its model may have wrong as variance."""
-    made = joint.receptances(x)
+    runs = [o.run for o in observations if o.run is not None]
+    none = [choose_lines(r, 2, scatter.floor) for r in runs]
+    joint = Joint(found.engine, found.point, runs, last.made.terms, scatter, none, whole=True)
+    made = joint.receptances(last.made.x)
     out = []
     for o, run, orbit in zip(observations, joint.runs, orbits, strict=True):
-        r = made[(run.period, run.rate)]
+        r = made[run.key]
         share = r.lift * (r.h * orbit.force).sum(axis=1)
         at = np.searchsorted(run.frequency, o.frf.frequency - 1e-9)
-        change = share[:, at] / run.u[at]
-        assert o.frf.variance is not None
-        variance = o.frf.variance + (0.02 * np.abs(change))[:, None] ** 2
-        frf = replace(o.frf, value=o.frf.value - change[:, None], variance=variance)
-        out.append(replace(o, frf=frf, distortion={}, run=None, drift=0.0, drift_slope=None))
+        out.append(_less(o, share[:, at] / run.u[at]))
+    return out
+
+
+def _less(o: Observation, change: NDArray) -> Observation:
+    """The observation with `change` (n_out, n_f) taken off its FRF."""
+    assert o.frf.variance is not None
+    variance = o.frf.variance + (0.02 * np.abs(change))[:, None] ** 2
+    frf = replace(o.frf, value=o.frf.value - change[:, None], variance=variance)
+    return replace(o, frf=frf, distortion={}, run=None, recordings=(), drift=0.0, drift_slope=None)
+
+
+def linearised_records(
+    found: Study, last: Tried, whole: Sequence[Observation], scatter: Scatter
+) -> list[Observation]:  # fmt: skip
+    """The same for hits and random data: the share of the simulated responses in each FRF, estimated alike."""
+    from labnnum.estimators import H1
+    from labnnum.spectra import Welch
+
+    out = []
+    for o in whole:
+        runs = hits_of(o) if o.kind == "hammer" else [stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)]
+        none = [choose_lines(r, 2, scatter.floor) for r in runs]
+        joint = Joint(found.engine, found.point, runs, last.made.terms, scatter, none, whole=True)
+        made = joint.receptances(last.made.x)
+        orbits = joint.settle(last.made.x, [None] * len(runs), 12)
+        shares = []
+        for run, orbit in zip(runs, orbits, strict=True):
+            assert orbit is not None
+            r = made[run.key]
+            shares.append(r.lift * (r.h * orbit.force).sum(axis=1))
+        if o.kind == "hammer":
+            top = sum(a * np.conj(r.u) for a, r in zip(shares, runs, strict=True))
+            power = sum(np.abs(r.u) ** 2 for r in runs)
+            at = np.minimum(np.searchsorted(runs[0].frequency, o.frf.frequency - 1e-9), runs[0].u.size - 1)
+            change = (np.asarray(top) / np.maximum(np.asarray(power), 1e-300))[:, at]
+        else:
+            recording, run = o.recordings[0], runs[0]
+            n = run.period
+            time = np.fft.irfft(shares[0] * (n / 2), n, axis=1)
+            data = np.vstack([np.fft.irfft(run.u * (n / 2), n)[None], time])
+            channels = (recording.channels[recording.inputs[0]], *run.outputs)
+            simulated = Recording(channels, data, run.rate, label=o.label)
+            frf = H1(Welch(int(o.frf.settings["n_segment"]), window="hann", overlap=0.5))(simulated)
+            at = np.minimum(np.searchsorted(frf.frequency, o.frf.frequency - 1e-9), frf.frequency.size - 1)
+            change = frf.value[:, 0, at]
+        out.append(_less(o, change))
     return out
 
 

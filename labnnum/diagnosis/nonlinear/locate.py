@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape, candidates, force_along, general_basis
+from labnnum.diagnosis.nonlinear.laws import SHAPES, candidates, force_along, general_basis
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
@@ -45,7 +45,7 @@ class Recovered:
     z: tuple[NDArray[np.float64], ...]
     v: tuple[NDArray[np.float64], ...]
     f: tuple[NDArray[np.float64], ...]
-    receptance: dict[tuple[int, float], Receptance]
+    receptance: dict[tuple[int, float, float], Receptance]
 
     @property
     def top(self) -> float:
@@ -152,11 +152,11 @@ def recover(
     with S the force's own power around the line. Forces of laws that the joint holds (`orbits`) are known.
     """
     engine = joint.engine
-    made: dict[tuple[int, float], Receptance] = {}
+    made: dict[tuple[int, float, float], Receptance] = {}
     for key in joint.bases:
         omega = 2 * np.pi * np.arange(key[0] // 2 + 1) * key[1] / key[0]
         columns = np.array([spot.column, *(t.column for t in joint.terms)]).T
-        base = Base(engine, point, columns, omega)
+        base = Base(engine, point, columns, omega, key[2])
         m = engine.band_modes.size
         own = joint.n_base - joint.k * m
         full = base.start()
@@ -166,7 +166,7 @@ def recover(
     forces, zs, vs, fs = [], [], [], []
     explained = total = 0.0
     for i, run in enumerate(joint.runs):
-        r = made[(run.period, run.rate)]
+        r = made[run.key]
         drive = r.gain * run.u
         known, moved = r.plain * drive, r.z[0] * drive
         orbit = orbits[i] if orbits is not None else None
@@ -180,6 +180,8 @@ def recover(
         full = np.zeros((3, run.period * FINE // 2 + 1), complex)
         full[:, : z.size] = z, r.s * z, force
         time = np.fft.irfft(full * (run.period * FINE / 2), axis=1)
+        if run.decay:
+            time = time * np.exp(run.decay * np.arange(run.period * FINE) / (run.rate * FINE))
         forces.append(force)
         zs.append(time[0])
         vs.append(time[1])
@@ -191,11 +193,15 @@ def recover(
 
 def _one(run: Run, r: Receptance, left: NDArray) -> tuple[NDArray[np.complex128], tuple[float, float]]:
     inside, quiet = run.inside, run.quiet
+    if not quiet.any():
+        quiet = inside
     h = r.lift * r.h[:, 0]
     size = np.abs(run.y)
     noise = run.noise
     if not np.isfinite(noise).all():
         noise = np.full(size.shape, (1e-3 * np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))) ** 2)
+    if not run.lasting:
+        size = np.sqrt(uniform_filter1d(size**2, 15, axis=1))
     local = uniform_filter1d(np.where(quiet, np.abs(left) ** 2, 0.0), 15, axis=1)
     local /= np.maximum(uniform_filter1d(quiet.astype(float), 15), 1e-9)
     variance = noise + (0.03**2) * local + np.where(run.excited, (0.01 * size) ** 2, 0.0)
@@ -219,20 +225,26 @@ def _one(run: Run, r: Receptance, left: NDArray) -> tuple[NDArray[np.complex128]
 def law_column(joint: Joint, found: Recovered, mechanism: str, p: NDArray, sign: float) -> NDArray[np.float64]:
     """Whitened response (n_out, N) to a law of parameters `p` along the recovered motion."""
     shape = SHAPES[mechanism]
-    spectra = [_spectrum(shape, sign * z, sign * v, p) * sign for z, v in zip(found.z, found.v, strict=True)]
-    return _through(joint, found, spectra)
+    forces = [force_along(shape, sign * z, sign * v, p) * sign for z, v in zip(found.z, found.v, strict=True)]
+    return _through(joint, found, spectra_of(joint, forces))
 
 
-def _spectrum(shape: LawShape, z: NDArray, v: NDArray, p: NDArray) -> NDArray[np.complex128]:
-    return np.fft.rfft(force_along(shape, z, v, p)) * (2 / z.size)
+def spectra_of(joint: Joint, series: Sequence[NDArray]) -> list[NDArray[np.complex128]]:
+    """Spectra of a series in time for each run, (n,) on as many samples as the recovered motion has."""
+    out = []
+    for run, x in zip(joint.runs, series, strict=True):
+        if run.decay:
+            x = x * np.exp(-run.decay * np.arange(x.size) * run.period / (x.size * run.rate))
+        out.append(np.fft.rfft(x) * (2 / x.size))
+    return out
 
 
 def _through(joint: Joint, found: Recovered, spectra: Sequence[NDArray]) -> NDArray[np.float64]:
     out = []
     for run, lines, phi in zip(joint.runs, joint.lines, spectra, strict=True):
-        r = found.receptance[(run.period, run.rate)]
-        at = lines.at
-        out.append(joint._real(-r.lift[:, at] * r.h[:, 0, at] * phi[at] / lines.sigma))
+        r = found.receptance[run.key]
+        at = lines.need
+        out.append(joint._real(lines.seen(-r.lift[:, at] * r.h[:, 0, at] * phi[at])))
     return np.concatenate(out, axis=-1)
 
 
@@ -247,7 +259,7 @@ def general_lead(background: Background, found: Recovered) -> Lead:
     bases = [general_basis(z, v) / scale[:, None] for z, v in zip(found.z, found.v, strict=True)]
     columns = []
     for i in range(N_P):
-        spectra = [np.fft.rfft(g[i]) * (2 / g.shape[1]) for g in bases]
+        spectra = spectra_of(background.joint, [g[i] for g in bases])
         columns.append(_through(background.joint, found, spectra))
     columns = [*companion_columns(background, found), *columns]
     gram, along = background.moments(np.array(columns))
@@ -277,7 +289,7 @@ def general_lead(background: Background, found: Recovered) -> Lead:
 def companion_columns(background: Background, found: Recovered) -> list[NDArray[np.float64]]:
     """Spring and dashpot at the spot, which the base model may have wrong."""
     return [
-        _through(background.joint, found, [np.fft.rfft(x) * (2 / x.size) for x in rows]) for rows in (found.z, found.v)
+        _through(background.joint, found, spectra_of(background.joint, rows)) for rows in (found.z, found.v)
     ]
 
 

@@ -48,12 +48,13 @@ def nonlinear_first(
     train = [o for i, o in enumerate(usable) if i not in kept]
     test = list(held_out) or [usable[i] for i in sorted(kept)]
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
-    found = answer(engine, train, test, places, scatter, limits, band, progress)
+    found = answer(engine, train, test, places, scatter, limits, band, progress, usable)
     if found is None or found.reason == UNCONFIRMED:
         return None
     progress("searching for linear physics beside it")
     rest = again(found.linearised, found.linearised_held_out)
-    if found.misfit > 1.5 and any(n.place.kind == "channel" for n in rest.named):
+    periodic = all(o.run is not None for o in train)
+    if periodic and found.misfit > 1.5 and any(n.place.kind == "channel" for n in rest.named):
         train = [_mended(o, rest.named) for o in train]
         test = [_mended(o, rest.named) for o in test]
         second = answer(engine, train, test, places, scatter, limits, band, progress)

@@ -49,7 +49,7 @@ def response(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: i
     made = study.base if linear else found.laws[-1].made
     at = np.flatnonzero(run.excited)[:2]
     lines = Lines(at, np.ones((run.y.shape[0], at.size)))
-    joint = Joint(study.engine, study.point, [run], () if linear else made.terms, Scatter(), [lines])
+    joint = Joint(study.engine, study.point, [run], () if linear else made.terms, Scatter(), [lines], whole=True)
     orbits = joint.settle(made.x, [None], steps)
     spectrum = joint.predict(made.x, orbits)[0]
     return np.fft.irfft(spectrum * (run.period / 2), run.period, axis=1)

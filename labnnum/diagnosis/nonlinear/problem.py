@@ -48,12 +48,28 @@ class Lines:
 
     at: NDArray[np.int64]
     sigma: NDArray[np.float64]
+    windowed: bool = False
+
+    @property
+    def need(self) -> NDArray[np.int64]:
+        """Lines that must be known: their neighbours too where they are seen through a Hann window."""
+        return np.concatenate([self.at - 1, self.at, self.at + 1]) if self.windowed else self.at
+
+    def seen(self, values: NDArray) -> NDArray:
+        """Values (..., need) as they are compared, (..., n), over sigma."""
+        if self.windowed:
+            low, mid, high = np.split(values, 3, axis=-1)
+            values = 0.5 * mid - 0.25 * (low + high)
+        return values / self.sigma
 
 
 WARM = 3
 """Periods marched before Newton's method where nothing is known of the steady state."""
 EXACT = 30
 """Entries of the base model's vector up to which their tangents are marched."""
+
+NEAR = 9
+"""Lines over which the size of a response to noise or to a hit is averaged."""
 
 DISTORTION = 6.0
 """Relative error of the distortion around a line, in units of the floor that the scatter gives to a response."""
@@ -63,8 +79,11 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
     """Lines between the first and the last that is excited, `most` of them (0: all), with their deviation."""
     from scipy.ndimage import uniform_filter1d
 
-    inside = np.flatnonzero(run.inside)
-    size = np.abs(run.y)
+    inside = np.flatnonzero(run.compared)
+    size = np.abs(run.seen(run.y))
+    if not run.lasting:
+        size = np.sqrt(uniform_filter1d(size**2, NEAR, axis=1, mode="nearest"))
+        inside = inside[(inside > 0) & (inside < size.shape[1] - 1)]
     quiet = run.quiet
     local = np.zeros(size.shape)
     if quiet.any():
@@ -83,7 +102,7 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
         n_on = min(on.size, max(most // 2, most - off.size))
         pick = [np.sort(rng.choice(a, min(n, a.size), replace=False)) for a, n in ((on, n_on), (off, most - n_on))]
         inside = np.sort(np.concatenate(pick))
-    return Lines(inside, sigma[:, inside])
+    return Lines(inside, sigma[:, inside], run.open)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,21 +128,22 @@ class Made:
 
 
 class Joint:
-    """The objective: runs, laws and the scatter of a sound model."""
+    """The objective: runs, laws and the scatter of a sound model; `whole` where responses are wanted on all lines."""
 
     def __init__(
         self, engine: Engine, point: Point, runs: Sequence[Run], terms: Sequence[Acting], scatter: Scatter,
-        lines: Sequence[Lines],
+        lines: Sequence[Lines], whole: bool = False,
     ) -> None:  # fmt: skip
         self.engine, self.runs, self.terms, self.scatter, self.lines = engine, tuple(runs), tuple(terms), scatter, lines
         n = engine.basis.shape[0]
         columns = np.array([t.column for t in terms]).T.reshape(n, len(terms))
         self.k = len(terms)
-        periods = {(r.period, r.rate) for r in runs}
         self.bases: dict[Any, Base] = {}
-        for period, rate in periods:
+        for key in {r.key for r in runs}:
+            period, rate, decay = key
             omega = 2 * np.pi * np.arange(period // 2 + 1) * rate / period
-            self.bases[(period, rate)] = Base(engine, point, columns, omega)
+            need = np.unique(np.concatenate([a.need for r, a in zip(runs, lines, strict=True) if r.key == key]))
+            self.bases[key] = Base(engine, point, columns, omega, decay, None if whole else need)
         first = next(iter(self.bases.values()))
         self.x0 = first.start()
         self.n_base = self.x0.size
@@ -218,7 +238,7 @@ class Joint:
         p = self.laws(x)
         out: list[Orbit | None] = []
         for run, steady, orbit in zip(self.runs, self.steady, orbits, strict=True):
-            r = made[(run.period, run.rate)]
+            r = made[run.key]
             warm = 0
             if orbit is None:
                 orbit, warm = steady.guess(r, np.zeros((steady.n, self.k))), WARM
@@ -226,35 +246,35 @@ class Joint:
         return out
 
     def predict(self, x: NDArray, orbits: Sequence[Orbit | None]) -> list[NDArray[np.complex128]]:
-        """Spectra of the responses, (n_out, n_lines) a run."""
+        """Spectra of the responses, (n_out, n_lines) a run, on all lines if the objective is `whole`."""
         made = self.receptances(x)
-        return [self._response(made[(r.period, r.rate)], r, o) for r, o in zip(self.runs, orbits, strict=True)]
+        return [self._response(made[r.key], r, o) for r, o in zip(self.runs, orbits, strict=True)]
 
     @staticmethod
-    def _response(r: Receptance, run: Run, orbit: Orbit | None) -> NDArray[np.complex128]:
-        y = r.plain * (r.gain * run.u)
+    def _response(r: Receptance, run: Run, orbit: Orbit | None, at: NDArray | None = None) -> NDArray[np.complex128]:
+        at = r.lines if at is None else at
+        here = r.index(at)
+        y = r.plain[:, here] * (r.gain * run.u)[at]
         if orbit is not None:
-            y = y + (r.h * orbit.force).sum(axis=1)
-        return r.lift * y
+            y = y + (r.h[..., here] * orbit.force[:, at]).sum(axis=1)
+        return r.lift[:, here] * y
 
-    def _nuisance(self, r: Receptance, run: Run, orbit: Orbit | None, lines: Lines, y: NDArray) -> NDArray:
-        """Complex columns (n_out, n, n_lines) of what is marginalised, over sigma."""
+    def _nuisance(self, r: Receptance, run: Run, orbit: Orbit | None, at: NDArray, y: NDArray) -> NDArray:
+        """Complex columns (n_out, n, at) of what is marginalised."""
         sc, e = self.scatter, self.engine
-        at, b = lines.at, e.band_modes
+        b, lift = e.band_modes, r.lift[:, None, r.index(at)]
         drive = r.load[b][:, None] * (r.gain * run.u)[at]
         if orbit is not None:
             drive = drive + r.w[:, b].T @ orbit.force[:, at]
         modal = sc.shape * e.typical[:, None] * r.d[b][:, at] * drive
-        modal = r.lift[:, None, at] * modal
-        y = y[:, at]
-        s = at / max(at[-1], 1)
+        modal = lift * modal
+        s = at / max(at.max(), 1)
         others = np.stack([sc.gain * y, 1j * sc.phase * y, 1j * sc.phase * s * y], axis=1)
         outside = np.setdiff1d(np.arange(r.omega.size), b)
         if outside.size:
-            rest = (r.out[outside].T * r.load[outside]) @ r.d[outside][:, at] * (r.gain * run.u)[at] * r.lift[:, at]
+            rest = (r.out[outside].T * r.load[outside]) @ r.d[outside][:, at] * (r.gain * run.u)[at] * lift[:, 0]
             others = np.concatenate([others, sc.remainder * rest[:, None], 0.3j * sc.remainder * rest[:, None]], axis=1)
-        all_ = np.concatenate([modal, 1j * (sc.complexity / sc.shape) * modal, others], axis=1)
-        return all_ / lines.sigma[:, None]
+        return np.concatenate([modal, 1j * (sc.complexity / sc.shape) * modal, others], axis=1)
 
     @staticmethod
     def _real(a: NDArray) -> NDArray[np.float64]:
@@ -266,10 +286,12 @@ class Joint:
         made = self.receptances(x)
         r_all, b_all = [], []
         for run, lines, orbit in zip(self.runs, self.lines, orbits, strict=True):
-            r = made[(run.period, run.rate)]
-            y = self._response(r, run, orbit)
-            r_all.append(self._real((run.y - y)[:, lines.at] / lines.sigma))
-            b_all.append(self._real(self._nuisance(r, run, orbit, lines, y)))
+            r = made[run.key]
+            at = lines.need
+            y = self._response(r, run, orbit, at)
+            r_all.append(self._real(lines.seen(run.y[:, at] - y)))
+            columns = lines.seen(np.moveaxis(self._nuisance(r, run, orbit, at, y), 1, 0))
+            b_all.append(self._real(np.moveaxis(columns, 0, 1)))
         return np.concatenate(r_all, axis=-1), np.concatenate(b_all, axis=-1)
 
     def value(self, x: NDArray, orbits: Sequence[Orbit | None], columns: NDArray) -> float:
@@ -284,7 +306,8 @@ class Joint:
     def slopes(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, list[Orbit | None]]:
         """Derivatives of the whitened responses, (n_out, n_x, N), and the orbits marched once more."""
         made = self.receptances(x)
-        derived = {key: b.derivatives(x[: self.n_base], made[key]) for key, b in self.bases.items()}
+        whole = bool(self.k) and self.exact
+        derived = {key: b.derivatives(x[: self.n_base], made[key], whole) for key, b in self.bases.items()}
         p = self.laws(x)
         n_law = sum(t.n for t in self.terms)
         vary = np.zeros((n_law, self.k, N_P))
@@ -295,20 +318,18 @@ class Joint:
                 at += 1
         out, new = [], []
         for run, lines, steady, orbit in zip(self.runs, self.lines, self.steady, orbits, strict=True):
-            key = (run.period, run.rate)
-            r, (dp, dh, dz, dg) = made[key], derived[key]
-            here = lines.at
-            drive = (r.gain * run.u)[here]
-            change = dp[:, :, here] * drive
+            r, (dp, dh, dz, dg) = made[run.key], derived[run.key]
+            at = lines.need
+            here = r.index(at)
+            change = dp[:, :, here] * (r.gain * run.u)[at]
             if orbit is not None:
                 orbit, slope = steady.slopes(r, p, orbit, (dz, dg), vary, exact=self.exact)
                 through = np.zeros((slope.force.shape[0], *change.shape[1:]), complex)
                 for c in range(self.k):
-                    change = change + dh[:, :, c][..., here] * orbit.force[c, here]
+                    change = change + dh[:, :, c][..., here] * orbit.force[c, at]
                     through += r.h[:, c, here] * slope.force[:, c, None][..., here]
                 change = np.concatenate([change + through[: self.n_base], through[self.n_base :]])
-            change = change * (r.lift[:, here] / lines.sigma)
-            out.append(self._real(np.moveaxis(change, 0, 1)))
+            out.append(self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)))
             new.append(orbit)
         return np.concatenate(out, axis=-1), new
 

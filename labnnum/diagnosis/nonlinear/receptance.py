@@ -19,7 +19,8 @@ class Receptance:
     Displacements per force: `plain` (o, f) to the input, `h` (o, k, f) sensors to a force at the places, `z` (k, f)
     places to the input, `g` (k, k, f) among the places; `lift` (o, f) from displacement to what the channels read,
     `gain` (f,) from what the input channel reads to the force (or base motion) that acts.
-    `omega`, `zeta` (m,), `w` (k, m), `rest` (k, k) are the modes as they are marched.
+    `omega`, `zeta` (m,), `w` (k, m), `rest` (k, k) are the modes as they are marched. `plain`, `h` and `lift` stand
+    on `lines` only.
     """
 
     s: NDArray
@@ -36,21 +37,32 @@ class Receptance:
     d: NDArray
     out: NDArray
     load: NDArray
+    lines: NDArray
     marches: dict[float, Any] = field(default_factory=dict)
     """What was prepared to march it, by the length of the step."""
 
+    def index(self, lines: NDArray) -> NDArray[np.int64]:
+        """Where given lines stand among those of the sensors."""
+        return np.searchsorted(self.lines, lines)
+
 
 class Base:
-    """The base model at places `columns` (n, k), on lines s = i omega (n_f,) of which the first may be zero.
+    """The base model at places `columns` (n, k), on lines s = decay + i omega (n_f,) of which the first may be zero.
+
+    Where `lines` are given, what concerns sensors (`plain`, `h`, `lift`) is held on those lines only.
 
     The vector that may vary holds the structure's parameters, then for each band mode a frequency offset, the
     logarithm of its damping, an offset of its load, and, place by place, of its motion there, as in
     `labnnum.diagnosis.engine.Point`.
     """
 
-    def __init__(self, engine: Engine, point: Point, columns: NDArray, omega: NDArray) -> None:
+    def __init__(
+        self, engine: Engine, point: Point, columns: NDArray, omega: NDArray, decay: float = 0.0,
+        lines: NDArray | None = None,
+    ) -> None:  # fmt: skip
         self.engine, self.point, self.columns = engine, point, columns
-        self.s = 1j * np.asarray(omega, float)
+        self.s = decay + 1j * np.asarray(omega, float)
+        self.lines = np.arange(self.s.size) if lines is None else lines
         self.k = columns.shape[1]
         e = engine
         self.high_w = columns.T @ e.high
@@ -70,7 +82,8 @@ class Base:
         some = np.abs(self.s) > 0
         safe = np.where(some, self.s, 1.0)
         rise = np.array([MOTION_ORDER[c.quantity] for c in e.outputs])
-        self.lift = e.sign_out[:, None] * np.where(some | (rise[:, None] == 0), safe ** rise[:, None], 0.0)
+        lift = e.sign_out[:, None] * np.where(some | (rise[:, None] == 0), safe ** rise[:, None], 0.0)
+        self.lift = lift[:, self.lines]
         order = MOTION_ORDER[e.inputs[0].quantity] if e.is_base else 2
         self.gain = np.where(some | (order == 2), safe ** (2 - order), 0.0) / e.sign_in[0]
         self.some, self.safe = some, safe
@@ -88,10 +101,10 @@ class Base:
         n, m = self.point.theta.size, self.point.shift.size
         return np.array([n, n + m, n + 2 * m, n + 3 * m])
 
-    def _remainder(self, a: NDArray, b: NDArray) -> NDArray:
+    def _remainder(self, a: NDArray, b: NDArray, s: NDArray) -> NDArray:
         static = a @ b.T
         slope = (a / np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf) ** 2) @ b.T
-        return static[:, :, None] - slope[:, :, None] * self.s**2
+        return static[:, :, None] - slope[:, :, None] * s**2
 
     # ---------------------------------------------------------------- values
 
@@ -116,67 +129,96 @@ class Base:
         load[b] += size * e.load_typical
         w = self.columns.T @ st.shape
         w[:, b] += motion.reshape(self.k, b.size) * self.w_typical
-        out = st.out
-        plain = (out.T * load) @ d
-        h = np.stack([(out.T * row) @ d for row in w], axis=1) if self.k else np.zeros((out.shape[1], 0, d.shape[1]))
+        out, s = st.out, self.s[self.lines]
+        here = d[:, self.lines]
+        plain = (out.T * load) @ here
+        h = np.stack([(out.T * row) @ here for row in w], axis=1) if self.k else np.zeros((out.shape[1], 0, s.size))
         z = (w * load) @ d
         g = ((w[:, None] * w[None]).reshape(-1, w.shape[1]) @ d).reshape(self.k, self.k, d.shape[1])
         if e.high.shape[1]:
-            plain = plain + self._remainder(self.high_out, self.high_load)[:, 0]
-            h = h + self._remainder(self.high_out, self.high_w)
-            z = z + self._remainder(self.high_w, self.high_load)[:, 0]
-            g = g + self._remainder(self.high_w, self.high_w)
+            plain = plain + self._remainder(self.high_out, self.high_load, s)[:, 0]
+            h = h + self._remainder(self.high_out, self.high_w, s)
+            z = z + self._remainder(self.high_w, self.high_load, self.s)[:, 0]
+            g = g + self._remainder(self.high_w, self.high_w, self.s)
         if e.is_base:
-            plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)
+            plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)[:, self.lines]
         rest = self.high_w @ self.high_w.T
-        return Receptance(self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load)
+        return Receptance(
+            self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines
+        )  # fmt: skip
 
     # ---------------------------------------------------------------- derivatives
 
-    def derivatives(self, x: NDArray, r: Receptance) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """Of plain (n, o, f), h (n, o, k, f), z (n, k, f) and g (n, k, k, f) to each entry of `x`."""
+    def derivatives(
+        self, x: NDArray, r: Receptance, whole: bool = True
+    ) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
+        """Of plain (n, o, f), h (n, o, k, f), z (n, k, f) and g (n, k, k, f) to each entry of `x`.
+
+        The first two stand on the sensors' lines, the others on all lines if `whole`, else on those lines too.
+        """
+        if not whole:
+            return self._derivatives(x, r, r.d[:, self.lines], self.s[self.lines], (True, True))
+        dp, dh, _, _ = self._derivatives(x, r, r.d[:, self.lines], self.s[self.lines], (True, False))
+        _, _, dz, dg = self._derivatives(x, r, r.d, self.s, (False, True))
+        return dp, dh, dz, dg
+
+    def _derivatives(
+        self, x: NDArray, r: Receptance, d: NDArray, s: NDArray, wanted: tuple[bool, bool]
+    ) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
         e, b = self.engine, self.engine.band_modes
         theta, shift, _, _, _ = np.split(x, self.cuts)
         st = e.state(theta)
-        n_t, m_b, k, n_f = theta.size, b.size, self.k, self.s.size
-        n_o = len(e.outputs)
-        n = n_t + (3 + k) * m_b
+        sensors, places = wanted
+        n_t, m_b, k, n_f = theta.size, b.size, self.k, s.size
+        n_o = len(e.outputs) if sensors else 0
+        n, kp = n_t + (3 + k) * m_b, k if places else 0
         dp = np.zeros((n, n_o, n_f), complex)
         dh = np.zeros((n, n_o, k, n_f), complex)
-        dz = np.zeros((n, k, n_f), complex)
-        dg = np.zeros((n, k, k, n_f), complex)
+        dz = np.zeros((n, kp, n_f), complex)
+        dg = np.zeros((n, kp, kp, n_f), complex)
         share = float(self.point.law[0])
-        rate = (1 - share) * self.s + 1j * share * r.omega[:, None]
-        by_omega = -(r.d**2) * ((2 * r.omega + 2j * share * r.zeta * r.omega)[:, None] + 2 * r.zeta[:, None] * rate)
-        by_zeta = -(r.d**2) * (2 * (r.omega * r.zeta)[:, None] * rate)
+        rate = (1 - share) * s + 1j * share * r.omega[:, None]
+        square = d**2
+        by_omega = -square * ((2 * r.omega + 2j * share * r.zeta * r.omega)[:, None] + 2 * r.zeta[:, None] * rate)
+        by_zeta = -square * (2 * (r.omega * r.zeta)[:, None] * rate)
         for j in range(n_t):
             dd = by_omega * (st.d_log[j] * r.omega)[:, None]
             dw = (self.columns.T @ st.shape) @ st.mix[j]
             do, dl = st.d_out[j], st.d_load[j][:, 0]
-            dp[j] = (do.T * r.load + r.out.T * dl) @ r.d + (r.out.T * r.load) @ dd
+            if sensors:
+                dp[j] = (do.T * r.load + r.out.T * dl) @ d + (r.out.T * r.load) @ dd
             for a in range(k):
-                dh[j, :, a] = (do.T * r.w[a] + r.out.T * dw[a]) @ r.d + (r.out.T * r.w[a]) @ dd
-                dz[j, a] = (dw[a] * r.load + r.w[a] * dl) @ r.d + (r.w[a] * r.load) @ dd
+                if sensors:
+                    dh[j, :, a] = (do.T * r.w[a] + r.out.T * dw[a]) @ d + (r.out.T * r.w[a]) @ dd
+                if not places:
+                    continue
+                dz[j, a] = (dw[a] * r.load + r.w[a] * dl) @ d + (r.w[a] * r.load) @ dd
                 for c in range(k):
-                    dg[j, a, c] = (dw[a] * r.w[c] + r.w[a] * dw[c]) @ r.d + (r.w[a] * r.w[c]) @ dd
+                    dg[j, a, c] = (dw[a] * r.w[c] + r.w[a] * dw[c]) @ d + (r.w[a] * r.w[c]) @ dd
         at = n_t
         for i, mode in enumerate(b):
             o, w, load = r.out[mode], r.w[:, mode], r.load[mode]
             for first, dd in ((at, by_omega[mode] * r.omega[mode] / (1 + shift[i])), (at + m_b, by_zeta[mode])):
                 row = first + i
-                dp[row] = (o * load)[:, None] * dd
-                dh[row] = np.outer(o, w)[:, :, None] * dd
-                dz[row] = (w * load)[:, None] * dd
-                dg[row] = np.outer(w, w)[:, :, None] * dd
+                if sensors:
+                    dp[row] = (o * load)[:, None] * dd
+                    dh[row] = np.outer(o, w)[:, :, None] * dd
+                if places:
+                    dz[row] = (w * load)[:, None] * dd
+                    dg[row] = np.outer(w, w)[:, :, None] * dd
             row = at + 2 * m_b + i
-            one = r.d[mode] * e.load_typical[i]
-            dp[row] = o[:, None] * one
-            dz[row] = w[:, None] * one
+            one = d[mode] * e.load_typical[i]
+            if sensors:
+                dp[row] = o[:, None] * one
+            if places:
+                dz[row] = w[:, None] * one
             for a in range(k):
                 row = at + (3 + a) * m_b + i
-                one = r.d[mode] * self.w_typical[a, i]
-                dh[row, :, a] = o[:, None] * one
-                dz[row, a] = load * one
-                dg[row, a] += w[:, None] * one
-                dg[row, :, a] += w[:, None] * one
+                one = d[mode] * self.w_typical[a, i]
+                if sensors:
+                    dh[row, :, a] = o[:, None] * one
+                if places:
+                    dz[row, a] = load * one
+                    dg[row, a] += w[:, None] * one
+                    dg[row, :, a] += w[:, None] * one
         return dp, dh, dz, dg

@@ -1,8 +1,8 @@
-"""One periodic run as the nonlinear diagnosis sees it: spectra of input and responses, noise, what was excited."""
+"""One run as the nonlinear diagnosis sees it: spectra of input and responses, noise, what was excited."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,15 @@ from labnnum.recording import Channel
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Steady response to a periodic input.
+    """Response to a periodic input, to a hit, or a stretch of a record that is neither.
 
-    Spectra are amplitudes: x(t) = Re sum_k X_k exp(i omega_k t), lines k = 0 ... n/2.
+    Spectra are amplitudes: x(t) = Re sum_k X_k exp(s_k t), lines k = 0 ... n/2, with s = decay + i omega. Three kinds
+    of run differ in what their ends do:
+
+    - periodic (`decay` 0, not `open`): the state after n samples is that at the beginning
+    - a hit (`decay` > 0): at rest before the first sample; the spectra are those of exp(-decay t) x(t)
+    - open: neither; the beginning is forgotten on the way, and lines are compared through a Hann window over the
+      stretch, that is by three neighbours each, so that what the ends have wrong does not count
 
     Parameters
     ----------
@@ -44,6 +50,20 @@ class Run:
     outputs: tuple[Channel, ...]
     input: Channel
     n_periods: int
+    decay: float = 0.0
+    open: bool = False
+    use: NDArray[np.bool_] | None = None
+    """Lines that may be compared, where they are fewer than those inside."""
+
+    @property
+    def key(self) -> tuple[int, float, float]:
+        """Samples, rate and decay: runs that share them share their lines s."""
+        return self.period, self.rate, self.decay
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the steady state closes over the period."""
+        return not (self.open or self.decay)
 
     @property
     def frequency(self) -> NDArray[np.float64]:
@@ -59,9 +79,26 @@ class Run:
         return out
 
     @property
+    def compared(self) -> NDArray[np.bool_]:
+        """Lines on which model and measurement may be compared."""
+        return self.inside if self.use is None else self.inside & self.use
+
+    @property
     def quiet(self) -> NDArray[np.bool_]:
         """Detection lines: inside, not excited."""
         return self.inside & ~self.excited
+
+    def seen(self, spectra: NDArray) -> NDArray:
+        """Spectra (..., n_lines) as they are compared: through a Hann window where the run is open."""
+        return hann_of(spectra) if self.open else spectra
+
+
+def hann_of(spectra: NDArray) -> NDArray:
+    """Spectra (..., n_lines) of the same signals under a Hann window over the period."""
+    out = 0.5 * spectra
+    out[..., 1:] -= 0.25 * spectra[..., :-1]
+    out[..., :-1] -= 0.25 * spectra[..., 1:]
+    return out
 
 
 def run_of(
@@ -105,9 +142,9 @@ def resampled(run: Run) -> Run:
     if n >= run.period:
         return run
     keep = slice(0, n // 2 + 1)
-    return Run(
-        run.rate * n / run.period, n, run.u[keep], run.y[:, keep], run.noise[:, keep], run.excited[keep], run.level,
-        run.label, run.outputs, run.input, run.n_periods,
+    return replace(
+        run, rate=run.rate * n / run.period, period=n, u=run.u[keep], y=run.y[:, keep], noise=run.noise[:, keep],
+        excited=run.excited[keep], use=None if run.use is None else run.use[keep],
     )  # fmt: skip
 
 

@@ -23,6 +23,10 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.errors import EstimationError
 
 
+PASSES = 5
+"""Marches over a run that does not close, at most: each takes the correction of the one before."""
+
+
 @dataclass(frozen=True, eq=False)
 class Orbit:
     """A steady state: modal state (2, m), forces (k,) and memory (k, 2) just before time 0, and over the period.
@@ -45,7 +49,7 @@ class Orbit:
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Derivatives of the force spectrum, (n, k, n_lines): to the base model's vector, then to the laws' parameters."""
+    """Derivatives of the force spectrum, (n, k, lines): to the base model's vector, then to the laws' parameters."""
 
     force: NDArray
 
@@ -70,6 +74,8 @@ class Steady:
         self.step = 1.0 / (run.rate * fine)
         self.lines = run.u.size
         self.top = int(np.flatnonzero(run.excited)[-1])
+        self.growth = np.exp(run.decay * self.step * np.arange(self.n)) if run.decay else None
+        """What undoes the window of a hit, sample by sample."""
 
     # ---------------------------------------------------------------- the march of one receptance
 
@@ -84,7 +90,7 @@ class Steady:
         fast = np.setdiff1d(np.arange(r.omega.size), slow)
         omega, zeta, w = r.omega[slow], r.zeta[slow], np.ascontiguousarray(r.w[:, slow])
         rest = r.rest + (r.w[:, fast] / r.omega[fast] ** 2) @ r.w[:, fast].T
-        low = np.abs(r.s[1])
+        low = np.abs(r.s[1].imag)
         free = omega < 0.05 * low
         omega[free], zeta[free] = 0.3 * low, 0.3  # a rigid body is tied loosely; the source takes it back
         m = omega.size
@@ -113,10 +119,13 @@ class Steady:
         full[..., : self.lines] = spectrum
         if self.fine > 1 and self.run.period % 2 == 0:
             full[..., self.lines - 1] *= 0.5
-        return np.fft.irfft(full * (self.n / 2), self.n, axis=-1)
+        time = np.fft.irfft(full * (self.n / 2), self.n, axis=-1)
+        return time if self.growth is None else time * self.growth
 
     def to_lines(self, time: NDArray) -> NDArray[np.complex128]:
         """Fine samples (n, ...) to spectra (..., n_lines)."""
+        if self.growth is not None:
+            time = time / self.growth.reshape(-1, *(1,) * (time.ndim - 1))
         return np.moveaxis(np.fft.rfft(time, axis=0)[: self.lines] * (2 / self.n), 0, -1)
 
     def source(self, r: Receptance, made: _Prepared, force: NDArray) -> NDArray[np.float64]:
@@ -145,6 +154,8 @@ class Steady:
         self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = 3e-4, warm: int = 0
     ) -> Orbit:
         """Newton's method from `orbit` to the steady state with laws' parameters p (k, N_P), after `warm` periods."""
+        if not self.run.lasting:
+            return self._passes(r, p, orbit, tolerance)
         made = self.prepare(r)
         m = made.w.shape[1]
         for turn in range(steps):
@@ -185,6 +196,25 @@ class Steady:
                 break
         return orbit
 
+    def _passes(self, r: Receptance, p: NDArray, orbit: Orbit, tolerance: float) -> Orbit:
+        """The march from rest (a hit), or from where the stretch ends (an open run), until its correction stands."""
+        made = self.prepare(r)
+        m = made.w.shape[1]
+        rest = np.zeros((2, m)), np.zeros(self.k), np.zeros((self.k, 2))
+        for _ in range(PASSES):
+            if self.run.decay:
+                orbit = replace(orbit, x=rest[0], f=rest[1], memory=rest[2])
+            one = self._march(made, self.source(r, made, orbit.force), p, orbit)
+            if not np.isfinite(one.state).all():
+                return replace(orbit, closing=np.inf)
+            x, f, memory = _parts(one.state, m, self.k)
+            change, size = one.time - orbit.time, np.linalg.norm(one.time) + 1e-300
+            closing = float(np.linalg.norm(change) / size)
+            orbit = Orbit(x, f, memory, self.to_lines(one.time), one.time, one.motion, closing, one.bad)
+            if closing < tolerance:
+                break
+        return orbit
+
     def slopes(
         self,
         r: Receptance,
@@ -195,12 +225,13 @@ class Steady:
         *,
         exact: bool = True,
     ) -> tuple[Orbit, Slopes]:
-        """The orbit marched once more, and the derivatives of its forces.
+        """The orbit marched once more, and the derivatives of its forces on the sensors' lines.
 
         Parameters
         ----------
         base : (dz, dg)
-            Derivatives of `Receptance.z` and `.g` to the base model's vector, (n_b, k, f) and (n_b, k, k, f).
+            Derivatives of `Receptance.z` and `.g` to the base model's vector, (n_b, k, f) and (n_b, k, k, f); on the
+            sensors' lines only if not `exact`.
         vary : ndarray, shape (n_law, k, N_P)
             Directions of the laws' parameters.
         exact : bool
@@ -216,6 +247,8 @@ class Steady:
                 push = push + dg[:, :, c] * orbit.force[c]
             ds = np.moveaxis(self.to_time(np.stack([push, r.s * push], axis=2)), (0, 3), (3, 0))
             ds = np.ascontiguousarray(ds)
+        if not self.run.lasting:
+            return self._open_slopes(r, p, orbit, base, vary, ds)
         one = self._march(made, source, p, orbit, homogeneous=True, vary=vary, ds=ds)
         if not np.isfinite(one.end).all():
             raise EstimationError("the steady response does not settle")
@@ -232,9 +265,28 @@ class Steady:
             orbit, force=self.to_lines(time), time=time, motion=one.motion, closing=rel, x=x, f=f, memory=memory,
             floquet=phi, inverse=inverse,
         )  # fmt: skip
-        moved = np.moveaxis(self.to_lines(whole), 1, 0)
+        moved = np.moveaxis(self.to_lines(whole), 1, 0)[..., r.lines]
         if not exact:
             moved = np.concatenate([self._base_slopes(r, orbit, base), moved])
+        return new, Slopes(moved)
+
+    def _open_slopes(
+        self, r: Receptance, p: NDArray, orbit: Orbit, base: tuple[NDArray, NDArray], vary: NDArray, ds: NDArray | None
+    ) -> tuple[Orbit, Slopes]:
+        """The same where no period closes: the tangents begin at rest too, and what they forget does not count."""
+        made = self.prepare(r)
+        m = made.w.shape[1]
+        begin = replace(orbit, x=np.zeros((2, m)), f=np.zeros(self.k), memory=np.zeros((self.k, 2)))
+        begin = begin if self.run.decay else orbit
+        one = self._march(made, self.source(r, made, orbit.force), p, begin, vary=vary, ds=ds)
+        if not (np.isfinite(one.slopes).all() and np.isfinite(one.time).all()):
+            raise EstimationError("the response does not settle")
+        x, f, memory = _parts(one.state, m, self.k)
+        change = np.linalg.norm(one.time - orbit.time) / (np.linalg.norm(one.time) + 1e-300)
+        new = Orbit(x, f, memory, self.to_lines(one.time), one.time, one.motion, float(change), one.bad)
+        moved = np.moveaxis(self.to_lines(one.slopes), 1, 0)[..., r.lines]
+        if ds is None:
+            moved = np.concatenate([self._base_slopes(r, new, base), moved])
         return new, Slopes(moved)
 
     def _base_slopes(self, r: Receptance, orbit: Orbit, base: tuple[NDArray, NDArray]) -> NDArray[np.complex128]:
@@ -243,19 +295,21 @@ class Steady:
         The spring and dashpot that best stand for a force along its motion answer to a change of the model; what a
         change at one line does to the others is left out.
         """
-        drive = r.gain * self.run.u
+        here = r.lines
+        drive = (r.gain * self.run.u)[here]
         dz, dg = base
         push = dz * drive
         for c in range(self.k):
-            push = push + dg[:, :, c] * orbit.force[c]
-        law = np.zeros((self.k, r.s.size), complex)
+            push = push + dg[:, :, c] * orbit.force[c, here]
+        s, g = r.s[here], r.g[..., here]
+        law = np.zeros((self.k, s.size), complex)
         for e in range(self.k):
             z, v, f = orbit.motion[:, e, 0], orbit.motion[:, e, 1], orbit.time[:, e]
             z, v = z - z.mean(), v - v.mean()
-            law[e] = -(z @ f) / max(z @ z, 1e-300) - r.s * (v @ f) / max(v @ v, 1e-300)
+            law[e] = -(z @ f) / max(z @ z, 1e-300) - s * (v @ f) / max(v @ v, 1e-300)
         if self.k == 1:
-            return -law * push / (1 + law * r.g[0])
-        loop = np.moveaxis(law[:, None] * r.g, 2, 0) + np.eye(self.k)
+            return -law * push / (1 + law * g[0])
+        loop = np.moveaxis(law[:, None] * g, 2, 0) + np.eye(self.k)
         right = -np.moveaxis(law * push, (0, 1, 2), (2, 1, 0))
         return np.asarray(np.moveaxis(np.linalg.solve(loop, right), (0, 1, 2), (2, 1, 0)), complex)
 

@@ -1,0 +1,182 @@
+"""Runs from recordings that are not periodic: hits, stretches of noise, sweeps; and whether their FRFs change."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+from scipy.ndimage import uniform_filter1d
+
+from labnnum.diagnosis.nonlinear.run import Run, resampled
+from labnnum.recording import Recording
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.observe import Observation
+
+STRETCH = 16384
+"""Samples of noise that are compared at most; as many others are held out."""
+SILENT = 1e-4
+"""Power of the input, of its largest, below which a line counts as not excited."""
+SAME = 0.02
+"""Power of one half of a record, of that of the other, below which a line was left out: the record sweeps."""
+HITS = 2
+"""Hits of a level that are fitted, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Observations with a run each, for the fit and held out; `whole` has every original once."""
+
+    train: tuple[Observation, ...]
+    test: tuple[Observation, ...]
+    whole: tuple[Observation, ...]
+
+
+def split(observations: Sequence[Observation]) -> Split:
+    """Hits of every level but the last of each, stretches of noise, or three of four stretches of lines of a sweep."""
+    train: list[Observation] = []
+    test: list[Observation] = []
+    whole: list[Observation] = []
+    for o in observations:
+        if not o.recordings:
+            continue
+        own, held = _hits(o) if o.kind == "hammer" else _stretches(o)
+        train += [replace(o, run=r, level=r.level) for r in own]
+        test += [replace(o, run=r, level=r.level) for r in held]
+        whole.append(o)
+    return Split(tuple(train), tuple(test), tuple(whole))
+
+
+# -------------------------------------------------------------------- hits
+
+
+def _hits(o: Observation) -> tuple[list[Run], list[Run]]:
+    runs = hits_of(o)
+    return (runs, []) if len(runs) == 1 else (runs[:-1][-HITS:], runs[-1:])
+
+
+def hits_of(o: Observation) -> list[Run]:
+    """Every hit of an observation as a run that begins at rest, under the exponential window of its FRF."""
+    decay = float(o.frf.settings["window_decay"])
+    n = int(o.frf.settings["n_segment"])
+    out = []
+    for recording in o.recordings:
+        for a, b in recording.spans():
+            if b - a < n:
+                continue
+            x = recording.data[:, a : a + n]
+            x = x - np.median(x[:, -max(n // 10, 1) :], axis=1, keepdims=True)
+            spectra = np.fft.rfft(x * np.exp(-decay * np.arange(n) / recording.rate), axis=1) * (2 / n)
+            out.append(_made(recording, spectra, n, decay, False, recording.label))
+    return out
+
+
+# -------------------------------------------------------------------- noise and sweeps
+
+
+def _stretches(o: Observation) -> tuple[list[Run], list[Run]]:
+    recording = o.recordings[0]
+    a, b = max(recording.spans(), key=lambda span: span[1] - span[0])
+    half = (b - a) // 2
+    if _sweeps(recording.data[recording.inputs[0], a:b]):
+        whole = stretch_of(recording, a, b)
+        lines = np.flatnonzero(whole.inside)
+        back = np.zeros(whole.u.size, bool)
+        block = max(lines.size // 60, 1)
+        back[lines] = (np.arange(lines.size) // block) % 4 == 2
+        return [replace(whole, use=~back)], [replace(whole, use=back)]
+    n = min(STRETCH, half)
+    return [stretch_of(recording, a + half - n, a + half)], [stretch_of(recording, a + half, a + half + n)]
+
+
+def stretch_of(recording: Recording, start: int, stop: int) -> Run:
+    """The samples from `start` to `stop`, a few less where that makes the transform quick."""
+    n = _quick(stop - start)
+    x = recording.data[:, start : start + n]
+    x = x - x.mean(axis=1, keepdims=True)
+    return _made(recording, np.fft.rfft(x, axis=1) * (2 / n), n, 0.0, True, recording.label)
+
+
+def _quick(n: int) -> int:
+    """The largest even number up to `n` with small factors only."""
+    for m in range(n // 2, 0, -1):
+        if next_fast_len(m, real=True) == m:
+            return 2 * m
+    return n
+
+
+def _sweeps(u: NDArray) -> bool:
+    """Whether one half of a record leaves out lines that the other excites."""
+    n = u.size // 2
+    window = np.hanning(n)
+    power = [np.abs(np.fft.rfft(part * window)) ** 2 for part in (u[:n], u[n : 2 * n])]
+    smooth = [uniform_filter1d(p, max(p.size // 100, 1)) for p in power]
+    on = smooth[0] + smooth[1] > 1e-2 * np.max(smooth[0] + smooth[1])
+    left_out = np.minimum(*smooth) < SAME * np.maximum(*smooth)
+    return bool(np.mean(left_out[on]) > 0.2)
+
+
+def _made(recording: Recording, spectra: NDArray, n: int, decay: float, ends: bool, label: str) -> Run:
+    i, outputs = recording.inputs[0], list(recording.outputs)
+    u, y = spectra[i].copy(), spectra[outputs]
+    lines = np.arange(u.size)
+    run = Run(
+        recording.rate, n, u, y, np.zeros(y.shape), lines > 0, 0.0, label,
+        tuple(recording.channels[j] for j in outputs), recording.channels[i], 1, decay, ends,
+    )  # fmt: skip
+    wide = max(u.size // 400, 5)
+    power = uniform_filter1d(np.abs(run.seen(u)) ** 2, wide, mode="nearest")
+    at = np.flatnonzero(power > SILENT * power.max())
+    on = np.zeros(u.size, bool)
+    on[max(int(at[0]), 1) : int(at[-1]) + 1] = True
+    u[on.size - 1 if on[-1] else int(at[-1]) + 1 :] = 0.0
+    if ends:
+        u[: int(at[0])] = 0.0  # noise alone, which a free structure would take far
+    seen = run.seen(y)
+    of_input = _floor(run.seen(spectra[i])[None])[0]
+    through = uniform_filter1d(np.abs(seen) ** 2, wide, axis=1, mode="nearest") / np.maximum(power, 1e-300)
+    noise = _floor(seen)[:, None] + np.where(on, through, 0.0) * of_input
+    level = float(np.sqrt(np.sum(np.abs(u) ** 2) / 2))
+    return resampled(replace(run, noise=noise, excited=on, level=level))
+
+
+def _floor(spectra: NDArray) -> NDArray[np.float64]:
+    """Power per line of the quietest stretch of each spectrum (rows, n_lines), taken as that of white noise."""
+    block = max(spectra.shape[1] // 40, 16)
+    n = spectra.shape[1] // block * block
+    power = np.abs(spectra[:, :n]) ** 2
+    return np.median(power.reshape(spectra.shape[0], -1, block), axis=2).min(axis=1) / np.log(2)
+
+
+# -------------------------------------------------------------------- signs
+
+CHANGE = 0.02
+"""Change of an FRF from level to level, relative, below which it is not looked into."""
+SURE = 3.0
+"""And its power, of what noise and leakage leave."""
+
+
+def changed(observations: Sequence[Observation]) -> bool:
+    """Whether FRFs of hits or noise change with level in two channels at least (in one where there is one)."""
+    known = [o for o in observations if o.recordings and np.isfinite(o.level)]
+    for kind in {o.kind for o in known}:
+        same = sorted((o for o in known if o.kind == kind), key=lambda o: o.level)
+        if len(same) > 1 and same[-1].level > 1.3 * same[0].level and _differ(same[0], same[-1]):
+            return True
+    return False
+
+
+def _differ(low: Observation, high: Observation) -> bool:
+    a, b = low.frf, high.frf
+    _, i, j = np.intersect1d(np.round(a.frequency, 6), np.round(b.frequency, 6), return_indices=True)
+    if i.size < 8 or a.variance is None or b.variance is None or a.value.shape[:2] != b.value.shape[:2]:
+        return False
+    power = np.sum(np.abs(a.value[..., i] - b.value[..., j]) ** 2, axis=2)
+    expected = np.sum(a.variance[..., i] + b.variance[..., j], axis=2)
+    size = np.sqrt(np.maximum(power - expected, 0) / np.sum(np.abs(a.value[..., i]) ** 2, axis=2))
+    sure = (size > CHANGE) & (power > SURE * expected)
+    return bool(sure.sum() >= min(2, sure.size))
