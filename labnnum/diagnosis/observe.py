@@ -173,6 +173,7 @@ def _periodic(recording: Recording) -> Observation:
             spectra, on, inputs, outputs, recording.rate, n, float(np.sqrt(np.sum(np.abs(u) ** 2) / 2)),
             recording.label, recording.channels,
         ),
+        recordings=(recording,),
     )  # fmt: skip
 
 

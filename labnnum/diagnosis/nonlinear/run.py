@@ -54,6 +54,8 @@ class Run:
     open: bool = False
     use: NDArray[np.bool_] | None = None
     """Lines that may be compared, where they are fewer than those inside."""
+    miss: float = 0.0
+    """What the base model is known to miss, RMS over all lines of a response, relative."""
 
     @property
     def key(self) -> tuple[int, float, float]:
