@@ -60,6 +60,18 @@ def run(
     progress("reading")
     train = observations_of(recordings, channels)
     test = observations_of(held_out, channels) if held_out else []
+    return run_observed(train, model, test, rig, progress, mechanisms)
+
+
+def run_observed(
+    train: Sequence[Observation],
+    model: Model,
+    test: Sequence[Observation] = (),
+    rig: str | Path | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+    mechanisms: Sequence[str | Path] = (),
+) -> Diagnosis:
+    """The same from observations, which may have come by different channels.toml files."""
     scatter, limits = read_limits(rig) if rig else (Scatter(), Limits())
     _require_sensors(model, train)
     p = model.places

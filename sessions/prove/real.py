@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +13,11 @@ from labnnum.diagnosis import Diagnosis
 from labnnum.errors import FileError
 from labnnum.recording import Recording
 from sessions.exchange import read_any
+from sessions.prove.real_f16 import f16
+from sessions.prove.rows import Row, said
 
 SETS = ("silverbox", "f16", "friction_damper")
 """Recordings that are run, folders of the recordings' directory."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the comparison: what was measured, what is published or asked for."""
-
-    recording: str
-    measure: str
-    found: str
-    published: str
 
 
 def run_real(
@@ -64,11 +55,6 @@ def _diagnosed(files: Sequence[Path], model: Path, channels: Path) -> Diagnosis:
     return run(files, read_model(model), (), channels)
 
 
-def _said(d: Diagnosis) -> str:
-    names = "; ".join(f"{n.term.mechanism.id} at {n.place}" for n in d.named)
-    return f"{d.verdict}: {names}" if names else f"{d.verdict} at {d.place}"
-
-
 def silverbox(data: Path, examples: Path, out: Path) -> list[Row]:
     """Base model from the quiet start of the arrow, diagnosis on multisines, simulation of the arrow."""
     from labnnum.diagnosis.nonlinear.predict import padded, response
@@ -78,7 +64,7 @@ def silverbox(data: Path, examples: Path, out: Path) -> list[Row]:
     base = out / "base.toml"
     identify_files([file], base, examples / "start.channels.toml", 5.0, 200.0, modes=1)
     d = _diagnosed([file], base, examples / "multisine.channels.toml")
-    rows = [Row("Silverbox", "verdict", _said(d), "cubic hardening, small even part")]
+    rows = [Row("Silverbox", "verdict", said(d), "cubic hardening, small even part")]
     answer = d.detail.get("nonlinear")
     if answer is None:
         return rows
@@ -101,29 +87,6 @@ def _recordings(file: Path, channels: Path) -> list[Recording]:
     if not isinstance(found, list):
         raise FileError(f"{file}: holds FRFs, not recordings")
     return found
-
-
-def f16(data: Path, examples: Path, out: Path) -> list[Row]:
-    """Base model from level 1, diagnosis on levels 1, 3 and 7, level 5 withheld."""
-    from sessions.identify import identify_files
-
-    files = [data / f"F16Data_FullMSine_Level{i}.mat" for i in (1, 3, 7)]
-    channels = examples / "channels.toml"
-    base = out / "base.toml"
-    identify_files(files[:1], base, channels, 2.5, 14.0)
-    from sessions.diagnose import run
-    from sessions.model import read_model
-
-    d = run(files, read_model(base), [data / "F16Data_FullMSine_Level5.mat"], channels)
-    place = f"{d.place}" if d.place else "none"
-    return [
-        Row("F-16", "verdict", _said(d), "clearance and friction at the payload joint"),
-        Row("F-16", "place", place, "joint payload - joint wing (acc2, acc3)"),
-        Row("F-16", "level 5 withheld, relative error, base", f"{d.base_error[1]:.3f}", ""),
-        Row(
-            "F-16", "level 5 withheld, relative error, extended", f"{d.extended_error[1]:.3f}", "a third of the base's"
-        ),
-    ]
 
 
 INCH, KIP = 0.0254, 4448.2216152605

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.detect import signs
+from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.locate import Spot, spots
+from labnnum.diagnosis.nonlinear.problem import Joint, choose_lines
 from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
-from labnnum.diagnosis.nonlinear.problem import Joint, Made, choose_lines
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, further, refined, search
@@ -118,6 +119,10 @@ def answer(
     tried = refined(found, scatter, _rivals(found, every, scatter))
     found = replace(found, tried=tuple(tried))
     laws = _chain(found, every, train, test, scatter, limits, progress)
+    more = records(others, span, runs[0].miss) if nearly and not whole else []
+    if more:
+        progress("fitting records that are not periodic")
+        laws[-1] = joined(found, laws[-1], more, scatter)
     return _decide(found, laws, train, test, scatter, limits, whole, nearly or NEARLY, timed)
 
 

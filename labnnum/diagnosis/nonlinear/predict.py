@@ -55,7 +55,8 @@ def spectra(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: in
     x = found.base_x if linear else found.laws[-1].made.x
     at = np.flatnonzero(run.excited)[:2]
     lines = Lines(at, np.ones((run.y.shape[0], at.size)))
-    joint = Joint(study.engine, study.point, [run], () if linear else found.laws[-1].made.terms, Scatter(), [lines])
+    joint = Joint(study.engine, study.point, [run], () if linear else found.laws[-1].made.terms, Scatter(), [lines],
+                  whole=True)  # fmt: skip
     return joint.predict(x, joint.settle(x, [None], steps))[0]
 
 

@@ -22,7 +22,6 @@ from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.errors import EstimationError
 
-
 PASSES = 5
 """Marches over a run that does not close, at most: each takes the correction of the one before."""
 

@@ -134,7 +134,12 @@ def _heard(o: Observation) -> _Heard | None:
     }
     signal = np.sum(np.abs(mean[outputs][:, inside]) ** 2, axis=1)
     return _Heard(
-        np.log(power[width:-width] + 1e-300), spectra, s, n, 2.0 * np.count_nonzero(inside), float(np.mean(loud / signal))
+        np.log(power[width:-width] + 1e-300),
+        spectra,
+        s,
+        n,
+        2.0 * np.count_nonzero(inside),
+        float(np.mean(loud / signal)),
     )
 
 
