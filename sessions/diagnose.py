@@ -115,14 +115,18 @@ def diagnose_files(
     """Content of diagnosis.json, written with diagnosis.html and extended.toml into the folder `out`."""
     read = read_model(model)
     d = run(recordings, read, held_out, channels, rig, progress, mechanisms)
-    folder = Path(out)
+    progress("drawing")
+    return write_answer(Path(out), read, d)
+
+
+def write_answer(folder: Path, read: Model, d: Diagnosis) -> dict[str, Any]:
+    """diagnosis.json (its content), diagnosis.html and extended.toml in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     content = d.as_dict()
     (folder / "diagnosis.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     write_extended(folder / "extended.toml", read, d)
     from sessions.report.diagnosis import write_page
 
-    progress("drawing")
     write_page(folder / "diagnosis.html", read, d)
     return content
 

@@ -114,7 +114,8 @@ def drifted(engine: Engine, observations: Sequence[Observation]) -> Named | None
 
 def _level_outweighs(observations: Sequence[Observation]) -> bool:
     """Whether the FRFs change with level far more than they do within any run: a strained joint may creep a little."""
-    known = sorted((o for o in observations if np.isfinite(o.level) and o.level > 0), key=lambda o: o.level)
+    known = [o for o in observations if o.drift_slope is not None and np.isfinite(o.level) and o.level > 0]
+    known.sort(key=lambda o: o.level)
     if len(known) < 2 or known[-1].level < 1.3 * known[0].level:
         return False
     low, high = known[0].frf, known[-1].frf

@@ -15,6 +15,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.errors import EstimationError
 from labnnum.peaks import peak
 from labnnum.structures.modal import ModalStructure
+from sessions.prove.real_figures import levels_figure
 from sessions.prove.rows import Row, said
 
 LEVELS, HELD = (1, 3, 7), 5
@@ -27,7 +28,7 @@ TORSION = (6.8, 7.6)
 
 def f16(data: Path, examples: Path, out: Path, progress: Callable[[str], None] = lambda text: None) -> list[Row]:
     """Rows of the comparison: verdict, place, errors at the withheld level, the torsion mode over the levels."""
-    from sessions.diagnose import observations_of, run_observed
+    from sessions.diagnose import observations_of, run_observed, write_answer
     from sessions.identify import identify_files
     from sessions.model import read_model
 
@@ -41,6 +42,7 @@ def f16(data: Path, examples: Path, out: Path, progress: Callable[[str], None] =
     model = read_model(base)
     train = [*(sine[i] for i in LEVELS), *(sweep[i] for i in LEVELS)]
     d = run_observed(train, model, [sine[HELD]], progress=progress)
+    write_answer(out, model, d)
     rows = [
         Row("F-16", "base of level 1: modes, error", f"{len(found['modes'])}, {found['error']:.3f}", ""),
         Row("F-16", "verdict", said(d), "clearance and friction at the payload joint"),
@@ -51,13 +53,13 @@ def f16(data: Path, examples: Path, out: Path, progress: Callable[[str], None] =
         for p, value, std in zip(n.term.parameters, n.value, n.std, strict=True):
             rows.append(Row("F-16", f"{n.term.mechanism.id} {p.name}, {p.unit}", f"{value:.4g} +- {std:.2g}", ""))
     if "nonlinear" in d.detail and isinstance(model.structure, ModalStructure):
-        rows += _errors(d, model.structure.error, (0.9 * BAND[0], 1.05 * BAND[1]), sine, sweep, progress)
+        rows += _errors(d, model.structure.error, (0.9 * BAND[0], 1.05 * BAND[1]), sine, sweep, out, progress)
     return rows
 
 
 def _errors(
     d: Diagnosis, error: float, span: tuple[float, float], sine: dict[int, Observation],
-    sweep: dict[int, Observation], progress: Callable[[str], None],
+    sweep: dict[int, Observation], out: Path, progress: Callable[[str], None],
 ) -> list[Row]:  # fmt: skip
     """Errors of the withheld level sensor by sensor, and the torsion mode, measured and simulated."""
     from dataclasses import replace
@@ -80,6 +82,10 @@ def _errors(
                                               linear=flag), strict=True))
         for flag in (True, False)
     )  # fmt: skip
+    for kind in ("multisine", "sweep"):
+        shown = [k for k in sorted(runs) if k[0] == kind]
+        names = [f"level {i}" + (", withheld" if i == HELD else "") for _, i in shown]
+        levels_figure(out / f"{kind}.svg", [linear[k] for k in shown], [extended[k] for k in shown], names)
     rows = []
     low = sine[LEVELS[0]].run
     high = sine[HELD].run

@@ -34,6 +34,11 @@ NEARLY = 1 / 3
 base was identified and misses its own data: it has no physics that the law could contradict."""
 
 
+LEAST = 1e-3
+"""What any identified base misses at least, RMS over the lines of a response, relative: errors then weigh as they do in
+a simulated response, and not line by line."""
+
+
 def own_scatter(error: float) -> Scatter:
     """Errors of a model that was identified with the sensors it is judged by, and missed its own data by `error`."""
     return replace(
@@ -61,8 +66,9 @@ def nonlinear_first(
     kept = set() if held_out or len(usable) < 2 else _kept_back(usable)
     train = [o for i, o in enumerate(usable) if i not in kept]
     test = list(held_out) or [usable[i] for i in sorted(kept)]
-    if nearly:
-        train, test = ([_missing(o, engine.structure.error) for o in part] for part in (train, test))
+    if isinstance(engine.structure, ModalStructure):
+        miss = max(engine.structure.error, LEAST)
+        train, test = ([_missing(o, miss) for o in part] for part in (train, test))
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
     found = answer(engine, train, test, places, scatter, limits, band, progress, usable, nearly)
     if found is None or found.reason == UNCONFIRMED:
