@@ -13,6 +13,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+from hammer_gates import judge_pyfrf
 from scipy.stats import beta
 
 from drivers.simulated import TIPS, Drive, Input, Operator, SimulatedBench, plant
@@ -24,6 +25,8 @@ from labnnum.structures.chain import Chain, Link
 FORCE = Channel("force", "force", "reference", "1", "x")
 TIP = Channel("tip", node="1", direction="x")
 BLOCK = 8192
+KINDS = ("false", "double missed", "clipped missed")
+COUNTED = ("hits", "clean", "double", "clipped", *KINDS, *(f"pyFRF {kind}" for kind in KINDS))
 
 
 def interval(k: int, n: int) -> str:
@@ -73,16 +76,20 @@ def judge(tip: str, rate: float, seconds: float, seed: int, clip: str, count: di
         x = data[:, event.start : event.stop]
         railed = any(np.abs(row).max() >= 0.999 * ranges[n] for row, n in zip(x, ("force", "tip"), strict=True))
         bad = {v.name for v in hit_verdicts(x[0], x[1:], rate, rules, ("force", "tip")) if not v.ok}
+        peer = judge_pyfrf({"force": x[0], "responses": x[1:], "rate": rate})
         count["hits"] += 1
         if not hit.again and not railed:
             count["clean"] += 1
             count["false"] += bool(bad)
+            count["pyFRF false"] += any(peer.values())
         if hit.again:
             count["double"] += 1
             count["double missed"] += "double hit" not in bad
+            count["pyFRF double missed"] += not peer["double hit"]
         if railed:
             count["clipped"] += 1
             count["clipped missed"] += "overload" not in bad
+            count["pyFRF clipped missed"] += not peer["overload"]
 
 
 def main() -> None:
@@ -91,25 +98,28 @@ def main() -> None:
     parser.add_argument("--streams", type=int, default=3, help="for each tip and rate")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--tips", nargs="*", choices=TIPS, default=[], help="those named only")
     args = parser.parse_args()
     told = {}
-    for tip in TIPS:
-        count = dict.fromkeys(("hits", "clean", "false", "double", "double missed", "clipped", "clipped missed"), 0)
+    for tip in args.tips or TIPS:
+        number = list(TIPS).index(tip)
+        count = dict.fromkeys(COUNTED, 0)
         for rate in (25600.0, 51200.0):
             for k in range(args.streams):
-                seed = args.seed + 1000 * k + int(rate)
+                seed = args.seed + 100_000 * number + 1000 * k + int(rate)
                 judge(tip, rate, args.seconds, seed, ("none", "force", "response")[k % 3], count)
         told[tip] = count
     if args.json:
         print(json.dumps(told))
         return
-    print(f"{'tip':12} {'pulse':>8} {'false alarms':>28} {'doubles missed':>28} {'clipped missed':>28}")
+    print(f"{'tip':12} {'pulse':>8}  {'by':8} {'false alarms':>28} {'doubles missed':>28} {'clipped missed':>28}")
+    told["all"] = {k: sum(c[k] for c in told.values()) for k in COUNTED}
     for tip, c in told.items():
-        row = [(c["false"], c["clean"]), (c["double missed"], c["double"]), (c["clipped missed"], c["clipped"])]
-        print(f"{tip:12} {1e3 * TIPS[tip][0]:5.1f} ms " + " ".join(f"{interval(*r):>28}" for r in row))
-    total = {k: sum(c[k] for c in told.values()) for k in next(iter(told.values()))}
-    row = [("false", "clean"), ("double missed", "double"), ("clipped missed", "clipped")]
-    print(f"{'all':12} {'':8} " + " ".join(f"{interval(total[a], total[b]):>28}" for a, b in row))
+        length = f"{1e3 * TIPS[tip][0]:5.1f} ms" if tip in TIPS else ""
+        for who, key in (("labnnum", ""), ("pyFRF", "pyFRF ")):
+            kinds = (("false", "clean"), ("double missed", "double"), ("clipped missed", "clipped"))
+            row = [interval(c[key + wrong], c[of]) for wrong, of in kinds]
+            print(f"{tip:12} {length:>8}  {who:8} " + " ".join(f"{r:>28}" for r in row))
 
 
 if __name__ == "__main__":

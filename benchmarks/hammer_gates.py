@@ -1,25 +1,28 @@
 """How often the hammer gates are wrong: false alarms on clean hits, misses on faulty ones, beside pyFRF's checks.
 
-    python benchmarks/hammer_gates.py --hits 2000 --seed 1 [--recordings DIR] [--json]
+    python benchmarks/hammer_gates.py --hits 2000 --seed 1 [--tips] [--recordings DIR] [--json]
 
 Hits are simulated by code that shares nothing with the gates: pulses of five families, 0.2 to 5 ms, skewed and with
 shoulders, on a structure of random modes; force sensor and anti-alias ringing, white noise, hum, offset, 12 to 24
 bits or none. Faults: a second pulse of a fifth to all of the main one, before or after it; clipping of any
 channel at 50 to 95 % of its peak (an amplifier's, before noise and converter, or the converter's own).
-Rates come with 95 % Clopper-Pearson limits. With --recordings, real clean hits are swept too, as they are and with
-the same faults added.
+Rates come with 95 % Clopper-Pearson limits. With --tips so many hits are drawn of each kind for each hammer tip of the
+simulated bench, pulses as long as the tip's give or take 15 %. With --recordings, real clean hits are swept too, as
+they are and with the same faults added.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import butter, fftconvolve, sosfilt
 from scipy.stats import beta
 
+from drivers.simulated import TIPS
 from labnnum.hammer import HitSettings, hit_verdicts
 
 FAMILIES = ("half-sine", "haversine", "hertz", "gamma", "triangle")
@@ -80,12 +83,14 @@ def sensor(rng: np.random.Generator, force: np.ndarray, rate: float, length: flo
     return out
 
 
-def simulate(rng: np.random.Generator, fault: str, limit: float = 0.2) -> dict:
-    """One hit: force and responses, and what is wrong with it."""
+def simulate(
+    rng: np.random.Generator, fault: str, limit: float = 0.2, lengths: tuple[float, float] = (0.2e-3, 5e-3)
+) -> dict:
+    """One hit: force and responses, and what is wrong with it; the pulse lasts between `lengths`, in s."""
     rate = float(rng.choice([25600.0, 51200.0]))
     n = int(rng.choice([8192, 16384, 32768]))
     t = np.arange(n) / rate
-    length = np.exp(rng.uniform(np.log(0.2e-3), np.log(5e-3)))
+    length = np.exp(rng.uniform(np.log(lengths[0]), np.log(lengths[1])))
     start = rng.uniform(0.002, 0.02)
     force = main_force(rng, t, start, length)
     if fault == "double":
@@ -164,7 +169,7 @@ def rate_of(wrong: int, total: int) -> dict:
     return {"wrong": wrong, "of": total, "rate": wrong / total if total else float("nan"), "limits": [low, high]}
 
 
-def sweep(hits: int, seed: int) -> dict:
+def sweep(hits: int, seed: int, lengths: tuple[float, float] = (0.2e-3, 5e-3)) -> dict:
     rng = np.random.default_rng(seed)
     counts: dict[str, list[int]] = {}
 
@@ -174,15 +179,15 @@ def sweep(hits: int, seed: int) -> dict:
         entry[1] += 1
 
     for _ in range(hits):
-        hit = simulate(rng, "none")
+        hit = simulate(rng, "none", lengths=lengths)
         for judged, who in ((judge(hit, False), "labnnum"), (judge_pyfrf(hit), "pyFRF")):
             note(f"{who}: false alarm, double hit", judged["double hit"])
             note(f"{who}: false alarm, overload", judged["overload"])
             note(f"{who}: false alarm, any", any(judged.values()))
-        hit = simulate(rng, "double")
+        hit = simulate(rng, "double", lengths=lengths)
         note("labnnum: missed double hit", not judge(hit, False)["double hit"])
         note("pyFRF: missed double hit", not judge_pyfrf(hit)["double hit"])
-        hit = simulate(rng, "clip")
+        hit = simulate(rng, "clip", lengths=lengths)
         note("labnnum: missed clipping, range known", not judge(hit, True)["overload"])
         if hit["run"] >= 3:
             note("labnnum: missed clipping of 3 samples or more, range unknown", not judge(hit, False)["overload"])
@@ -228,16 +233,31 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--recordings", type=Path, help="folder that holds hammer_hits/")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--tips", nargs="*", choices=TIPS, help="so many hits for each hammer tip, or for those named")
     args = parser.parse_args()
-    result = sweep(args.hits, args.seed)
-    if args.recordings:
-        result |= real_hits(args.recordings, args.seed, 20)
+    shown = {}
+    for title, found in parts(args):
+        named = {f"{title}{key}": entry for key, entry in found.items()}
+        shown |= named
+        for key, entry in ({} if args.json else named).items():
+            low, high = entry["limits"]
+            told = f"{key:92s} {entry['wrong']:5d} of {entry['of']:5d} = {entry['rate']:7.2%}  [{low:.2%}, {high:.2%}]"
+            print(told, flush=True)
     if args.json:
-        print(json.dumps(result, indent=1))
-        return
-    for key, entry in result.items():
-        low, high = entry["limits"]
-        print(f"{key:66s} {entry['wrong']:5d} of {entry['of']:5d} = {entry['rate']:7.2%}  [{low:.2%}, {high:.2%}]")
+        print(json.dumps(shown, indent=1))
+
+
+def parts(args: argparse.Namespace) -> Iterator[tuple[str, dict]]:
+    """What was asked for, part by part: a title and its rates."""
+    if args.tips is None:
+        yield "", sweep(args.hits, args.seed)
+    else:
+        for tip in args.tips or TIPS:
+            length = TIPS[tip][0]
+            seed = args.seed + list(TIPS).index(tip)
+            yield f"{tip}, {1e3 * length:g} ms: ", sweep(args.hits, seed, (0.85 * length, 1.15 * length))
+    if args.recordings:
+        yield "", real_hits(args.recordings, args.seed, 20)
 
 
 if __name__ == "__main__":

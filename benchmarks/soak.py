@@ -40,7 +40,7 @@ class Counter(Source):
         return first + np.arange(frames * oversample) / oversample
 
 
-def device(channels: int, rate: float, real_time: bool) -> tuple[SimulatedBench, list[Channel]]:
+def device(channels: int, rate: float, real_time: bool, buffer: float = 10.0) -> tuple[SimulatedBench, list[Channel]]:
     """A chain with an accelerometer on every mass, a force, and the counter as a monitor."""
     n = channels - 2
     links = [Link("0", "ground", 1e7, 50.0)] + [Link(str(i), str(i + 1), 1e7, 50.0) for i in range(n - 1)]
@@ -54,7 +54,7 @@ def device(channels: int, rate: float, real_time: bool) -> tuple[SimulatedBench,
     player.play(np.random.default_rng(0).standard_normal(2**18), repeat=True)
     bench = SimulatedBench(
         plant(chain, [], inputs, drives), inputs, [Counter(), player], rate,
-        block=BLOCK, oversample=1, real_time=real_time, buffer=2.0,
+        block=BLOCK, oversample=1, real_time=real_time, buffer=buffer,
     )  # fmt: skip
     return bench, names
 
@@ -199,12 +199,13 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--channels", type=int, default=16)
     parser.add_argument("--rate", type=float, default=48000.0)
+    parser.add_argument("--buffer", type=float, default=10.0, help="s that the device holds: rig.toml's default")
     parser.add_argument("--load", action="store_true", help="load the disk meanwhile")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        bench, names = device(args.channels, args.rate, real_time=True)
+        bench, names = device(args.channels, args.rate, real_time=True, buffer=args.buffer)
         noise = load(folder) if args.load else None
         try:
             watch, _, account = soak(bench, names, folder / "soak.h5", 60 * args.minutes)

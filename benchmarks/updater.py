@@ -35,7 +35,9 @@ from labnnum.updating.compiled import compiled
 from labnnum.updating.features import BandIntegrals, LogBands
 from labnnum.updating.fitting import fit_printed, fit_tuned, principal_components
 from labnnum.updating.many import bound_deviations, refine_many
+from labnnum.updating.network import kernel_values, squared_distances
 from labnnum.updating.peers import output_error, penalty
+from labnnum.updating.regression import BLOCK, triangle
 from labnnum.updating.training import Disturbance, draw
 
 NOISE = 0.01
@@ -179,12 +181,25 @@ def speed() -> list[dict]:
                     "share_of_matrix_product": n**3 / 3 / seconds / rate})  # fmt: skip
     for degree in (1, 2):
         width = 800 + fitting.tail_terms(z[:1], degree).shape[1]
-        seconds = best(fitting._triangular, z, y, z[:800], "gaussian", degree, repeats=1)
+        seconds = best(_triangle, z, y, degree, repeats=1)
+        whole = best(fitting._solve_least_squares, z, y, z[:800], "gaussian", degree, repeats=1)
         out.append({"what": f"weights, 30000 samples on 800 centres, degree {degree}", "seconds": seconds,
+                    "with_ridge_and_leave_one_out": whole,
                     "share_of_matrix_product": 2 * len(z) * width**2 / seconds / rate})  # fmt: skip
     out.append({"what": "scales by leave-one-out, 400 samples", "seconds": best(fitting.tune_scales, z[:400], y[:400],
                                                                               "gaussian", 1, repeats=1)})  # fmt: skip
     return out + _answers(e, lines, batch, features, theta, x, tuned)
+
+
+def _triangle(z: np.ndarray, y: np.ndarray, degree: int) -> np.ndarray:
+    """QR of 30,000 rows in blocks."""
+    slices = [slice(start, start + BLOCK) for start in range(0, len(z), BLOCK)]
+    rows = (
+        np.hstack([fitting.tail_terms(z[s], degree), kernel_values("gaussian", squared_distances(z[s], z[:800])), y[s]])
+        for s in slices
+    )
+    width = 800 + y.shape[1] + fitting.tail_terms(z[:1], degree).shape[1]
+    return triangle(rows, np.zeros((width, width)))
 
 
 def _weights(z: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.block import Block
-from drivers.clock import Clock, certain
+from drivers.clock import Clock, drift_note
 from drivers.digitiser import Digitiser
 from drivers.ring import Mark, Piece, Ring
 from labnnum.errors import (
@@ -229,7 +229,7 @@ class AudioDigitiser(Digitiser):
     @property
     def notes(self) -> tuple[str, ...]:
         """What was noticed in this run: overflows, and a clock that drifts against this computer's."""
-        return (*self._told, *self._drift())
+        return (*self._told, *drift_note(self.name, self.clock))
 
     def frame_at(self, moment: float, timeout: float = 3.0) -> int:
         """The frame that is digitised at a moment of `time.perf_counter`; waits until somebody has read a block."""
@@ -346,13 +346,6 @@ class AudioDigitiser(Digitiser):
         if mark.lost:
             self._told.append(f"{self.name}: {mark.lost} frames were not fetched in time and are lost")
         self.clock.add(self._counted, mark.time)
-
-    def _drift(self) -> list[str]:
-        drift, error = self.clock.drift_ppm, self.clock.error_ppm
-        if not certain(drift, error):
-            return []
-        way = "fast" if drift > 0 else "slow"
-        return [f"{self.name}: its clock runs {abs(drift):.0f} ± {error:.0f} ppm {way} against this computer's"]
 
     def _as_block(self, piece: Piece) -> Block:
         share = piece.data[:, self._columns].T

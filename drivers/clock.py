@@ -126,6 +126,15 @@ def _line(points: list[tuple[float, float]]) -> tuple[float, float]:
     return -1e6 * slope, 1e6 * error
 
 
+def drift_note(name: str, clock: Clock) -> tuple[str, ...]:
+    """A line that says by how much the clock of the device `name` is off, if that is certain; else none."""
+    drift, error = clock.drift_ppm, clock.error_ppm
+    if not certain(drift, error):
+        return ()
+    way = "fast" if drift > 0 else "slow"
+    return (f"{name}: its clock runs {abs(drift):.0f} ± {error:.0f} ppm {way} against this computer's",)
+
+
 def drift_between(one: Clock, other: Clock) -> tuple[float, float]:
     """How much faster `one` runs than `other` in ppm, and its standard error: two devices without a common clock."""
     return one.drift_ppm - other.drift_ppm, math.hypot(one.error_ppm, other.error_ppm)

@@ -66,15 +66,29 @@ def tone_frf(recording: Recording, stretches: Sequence[tuple[int, int]], frequen
         Samples in which each tone is steady.
     frequency : array_like, shape (n_stretches,)
         Hz, different from each other, in any order.
+
+    Raises
+    ------
+    EstimationError
+        There is not one input, or no stretch holds a whole cycle without a break.
+
+    Notes
+    -----
+    Where a stretch is broken (lost frames, exclusions) its longest unbroken part is taken; a line of which no part
+    holds a cycle is left out.
     """
     if len(recording.inputs) != 1:
         raise EstimationError(f"{recording.label}: a stepped sine needs one input, not {len(recording.inputs)}")
-    order = np.argsort(np.asarray(frequency, float))
-    lines = np.asarray(frequency, float)[order]
+    given = np.asarray(frequency, float)
+    parts = [_unbroken(recording, *stretch) for stretch in stretches]
+    order = [k for k in np.argsort(given) if _enough(parts[k], float(given[k]), recording.rate)]
+    if not order:
+        raise EstimationError(f"{recording.label}: no tone lasts for a cycle without a break")
+    lines = given[order]
     rows = [recording.inputs[0], *recording.outputs]
     amplitude, variance = np.empty((len(rows), lines.size), complex), np.empty((len(rows), lines.size))
     for k, (f, at) in enumerate(zip(lines, order, strict=True)):
-        start, stop = stretches[at]
+        start, stop = parts[at]
         amplitude[:, k], variance[:, k] = tone(recording.data[rows, start:stop], recording.rate, float(f))
     value = amplitude[1:] / amplitude[0]
     spread = (variance[1:] + np.abs(value) ** 2 * variance[0]) / np.abs(amplitude[0]) ** 2
@@ -83,3 +97,15 @@ def tone_frf(recording: Recording, stretches: Sequence[tuple[int, int]], frequen
         lines, value[:, None], tuple(channels[1:]), (channels[0],), variance=spread[:, None],
         estimator="stepped sine", settings={"rate": recording.rate, "level": recording.level},
     )  # fmt: skip
+
+
+def _unbroken(recording: Recording, start: int, stop: int) -> tuple[int, int]:
+    """The longest part of a stretch that no break or exclusion interrupts."""
+    parts = [(max(a, start), min(b, stop)) for a, b in recording.spans()]
+    return max(parts, key=lambda part: part[1] - part[0], default=(start, start))
+
+
+def _enough(part: tuple[int, int], frequency: float, rate: float) -> bool:
+    """Whether a stretch holds a cycle, and more samples than a constant and three harmonics have unknowns."""
+    n = part[1] - part[0]
+    return n > 7 and n * frequency >= rate

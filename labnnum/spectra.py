@@ -235,8 +235,8 @@ class Accumulator:
 
     @property
     def n_segments(self) -> int:
-        """Segments averaged so far, not counting those that still wait for their group."""
-        return sum(self._runs) + self._run
+        """Whole segments so far; `spectra` averages all of them, those too that still wait for their group."""
+        return sum(self._runs) + self._run + self._waiting
 
     def add(self, block: NDArray) -> None:
         """Continue the stream with samples of all channels, shape (n_channels, any), in SI units."""
@@ -271,11 +271,15 @@ class Accumulator:
         self._run = 0
         self._fill = 0
 
+    @property
+    def _waiting(self) -> int:
+        return max(0, (self._fill - int(self._welch.n_segment)) // self._welch.hop + 1)
+
     def _rest(self, into: CrossSum) -> int:
-        waiting = (self._fill - int(self._welch.n_segment)) // self._welch.hop + 1
-        if waiting > 0:
+        waiting = self._waiting
+        if waiting:
             self._average(self._pending[:, : self._fill], None, waiting, into)
-        return max(0, waiting)
+        return waiting
 
     def _average(self, stretch: NDArray, rows: list[int] | None, count: int, into: CrossSum) -> None:
         n, hop = int(self._welch.n_segment), self._welch.hop

@@ -199,9 +199,16 @@ def _take(rig, item, run, earlier, found, display, done, messages) -> str:
             return how
         finally:
             off()
-            texts = [*guard.warnings, *said, *found.digitiser.notes]
+            texts = [*guard.warnings, *_gaps(guard, recorder), *said, *found.digitiser.notes]
             texts += found.exciter.notes if found.exciter is not None else ()
             messages += [f"{item.key}: {text}" for text in texts]
+
+
+def _gaps(guard: Guard, recorder: Recorder) -> list[str]:
+    """Where there was more than the one gap that has been told: how many."""
+    if guard.gaps < 2:
+        return []
+    return [f"{guard.gaps} gaps in all: {recorder.lost} frames lost, {recorder.overflows} overflows"]
 
 
 def _run(desk: Desk, earlier: Sequence[Run]) -> str:

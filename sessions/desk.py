@@ -133,6 +133,7 @@ class Desk:
             level_unit=s.level_unit,
             messages=(*self.guard.warnings[-4:], *s.messages[-6:]),
             waiting=s.waiting,
+            judged=self.item.kind == "hammer",
             **changes,
         )
 

@@ -87,6 +87,10 @@ def _simulated(rig: Rig, item: Item, attempt: int) -> Devices:
         drive, exciter = Drive(item.channels[trigger_row(rig)]), None
     else:
         generator = rig.toml.generator
+        if generator is not None and generator.kind != "simulated":
+            raise ConfigError(
+                f'{rig.path}: generator.kind: {generator.kind!r} does not drive a simulated device; choose "simulated"'
+            )
         source = exciter = SimulatedExciter(rig.rate, generator.max_volts if generator else 10.0)
         drive = Drive(_drive_channel(rig, item), s.gain, shaker)
     device, faults = rig.toml.device, s.faults
@@ -170,9 +174,17 @@ def _replay(rig: Rig, item: Item, attempt: int) -> Devices:
             raise ConfigError(f"{rig.path}: device.run: {device.session} has {len(session.runs)} runs")
         blocks = list(runs[0].replay())
         full = np.array([s.full_scale for s in runs[0].stored])
+        rate = runs[0].rate
         names = [c.name for c in runs[0].channels]
     if names != [c.name for c in item.channels]:
         raise ConfigError(f"{rig.path}: channel: the replayed run has the channels {', '.join(names)}")
+    if rate != rig.rate:
+        raise ConfigError(f"{rig.path}: device.rate: the replayed run has {rate:g} Hz, not {rig.rate:g} Hz")
+    if rig.toml.excitation.kind not in ("none", "hammer"):
+        raise ConfigError(
+            f"{rig.path}: excitation.kind: a replay has no generator to play {rig.toml.excitation.kind!r}; with"
+            ' "none" the run is recorded again as it was, and labnnum frf estimates from it'
+        )
     speed = device.speed or float("inf")
     return Devices(Replay(lambda: blocks, rig.rate, len(names), full, speed))
 

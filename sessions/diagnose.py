@@ -13,6 +13,7 @@ import numpy as np
 from labnnum.diagnosis import Diagnosis, Limits, Observation, Scatter, diagnose, observe_all, observe_frf
 from labnnum.errors import FileError, InputError
 from labnnum.frf import Frf
+from labnnum.mechanisms import ExtendedStructure
 from labnnum.recording import Recording
 from sessions.exchange import read_any
 from sessions.limits import read_limits
@@ -152,7 +153,7 @@ def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
         tables,
         path if tables["structure"] is not model.raw["structure"] else model.path,
     )
-    write_model(path, moved, _entries(d, path.parent))
+    write_model(path, moved, [*_entries(d, path.parent), *_kept_laws(d, model)])
 
 
 def _ratios(d: Diagnosis) -> np.ndarray:
@@ -219,6 +220,15 @@ def _entries(d: Diagnosis, folder: Path) -> list[dict[str, Any]]:
     if np.any(np.abs(shift) > 1e-6):
         out.append({"id": "modal-trim", "shift": [float(f"{v:.5g}") for v in shift]})
     return out
+
+
+def _kept_laws(d: Diagnosis, model: Model) -> list[dict[str, Any]]:
+    """[[mechanism]] entries of nonlinear laws that the model held, unless others were named."""
+    structure = model.structure
+    if not isinstance(structure, ExtendedStructure) or any(n.term.mechanism.domain == "nonlinear" for n in d.named):
+        return []
+    ids = {law.term.mechanism.id for law in structure.laws}
+    return [dict(entry) for entry in model.raw.get("mechanism", ()) if entry.get("id") in ids]
 
 
 def _nonlinear_entries(d: Diagnosis) -> list[dict[str, Any]]:

@@ -44,6 +44,7 @@ class Guard:
         self.overloaded = np.zeros(len(self._stored), bool)
         self.tripped = False
         self.warnings: list[str] = []
+        self.gaps = 0
         self._said: set[str] = set()
 
     def __call__(self, block: Block) -> None:
@@ -53,6 +54,7 @@ class Guard:
         if block.overload is not None and block.overload.any():
             self._overload(block.overload)
         if block.lost or block.overflow:
+            self.gaps += 1
             what = f"{block.lost} frames were lost" if block.lost else "the input overflowed"
             self._act("lost", self._safety.lost, f"{what} before frame {block.start}; nothing averages across the gap")
 

@@ -112,9 +112,14 @@ def propose(structure: Structure, theta: NDArray, bands: Sequence[Any] = (), wis
     Raises
     ------
     ModelError
-        If no mode lies in the band.
+        If no mode lies in the band, or a hammer is asked for and the model is driven by its base.
     """
     w = wishes or Wishes()
+    if structure.base and w.excitation == "hammer":
+        raise ModelError(
+            f"structure.base is {structure.base!r}: the model is driven by its base, and a hammer applies forces; leave"
+            " out structure.base, or ask for another excitation"
+        )
     found = _modes(structure, theta, w)
     low, high, why = _band(found, bands, w)
     inside = [(f, z) for f, z in found if low <= f <= high]
@@ -267,21 +272,33 @@ def _hammer(facts: _Facts, w: Wishes) -> tuple[dict[str, Any], list[str], float]
 
 
 def _stepped(facts: _Facts, w: Wishes) -> tuple[dict[str, Any], list[str], float]:
-    lines = math.ceil((facts.high - facts.low) / facts.bandwidth * LINES["stepped sine"])
-    lines = min(max(lines, 20), 400)
+    lines, spacing, apart = _tones(facts)
     settle = SETTLED / facts.decay
     excitation = {
         "kind": "stepped sine", "low": _round(facts.low), "high": _round(facts.high), "lines": lines,
-        "spacing": "linear", "settle": _round(settle), "cycles": 20,
+        "spacing": spacing, "settle": _round(settle), "cycles": 20,
         "directions": ["up", "down"] if w.purpose == "diagnosis" else ["up"],
     }  # fmt: skip
-    why = [
-        f"{lines} tones, {(facts.high - facts.low) / lines:.3g} Hz apart",
-        f"{settle:.2g} s before each: the slowest transient falls to 0.1 %",
-    ]
     passes = len(excitation["directions"])
     tone = 2 * (settle + 0.15) + 25 / (0.5 * (facts.low + facts.high))
+    why = [
+        f"{lines} tones, {apart} apart: {LINES['stepped sine']:g} in the half-power bandwidth of every mode",
+        f"{settle:.2g} s before each: the slowest transient falls to 0.1 %",
+        f"{passes * lines * tone:.0f} s a level: a band around one mode (--low, --high), or a multisine, takes less",
+    ]
     return _tables(facts, excitation, {}), why, passes * lines * tone
+
+
+def _tones(facts: _Facts) -> tuple[int, str, str]:
+    """How many tones resolve every mode, their spacing (whichever law needs fewer), and how far apart they are."""
+    wanted = LINES["stepped sine"]
+    even = math.ceil((facts.high - facts.low) / facts.bandwidth * wanted) + 1
+    if facts.low > 0:
+        ratio = 1 + min(2 * z for f, z in facts.modes) / wanted
+        growing = math.ceil(math.log(facts.high / facts.low) / math.log(ratio)) + 1
+        if growing < even:
+            return max(growing, 20), "log", f"{100 * ((facts.high / facts.low) ** (1 / (growing - 1)) - 1):.2g} %"
+    return max(even, 20), "linear", f"{(facts.high - facts.low) / (max(even, 20) - 1):.3g} Hz"
 
 
 def _tables(facts: _Facts, excitation: dict[str, Any], processing: dict[str, Any]) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from labnnum.windows import window
 from sessions.calibration import Calibration, calibrated, read_calibration, stated
 from sessions.channels import ChannelTable
 from sessions.tables import StoredChannel
-from sessions.toml import Table, parse, read_toml
+from sessions.toml import Table, parse, read_toml, strangers
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -379,6 +379,9 @@ def parse_rig(text: str, path: str | Path = "rig.toml", known: Calibration | Non
     """
     path, known = Path(path), known or Calibration()
     toml = parse(text, RigToml, str(path))
+    for where, key, there in strangers(toml):
+        if not where.startswith("channel["):  # those share their tables with channels.toml, which may hold others' keys
+            raise ConfigError(f"{path}: {where}{key} is no key; there are {', '.join(dict.fromkeys(there))}")
     tables, stored, said = [], [], []
     for i, table in enumerate(toml.channel):
         where = f"{path}: channel[{i + 1}]: "

@@ -49,13 +49,25 @@ class _Excited:
         """Samples per second."""
         return self.desk.rig.rate
 
-    def wait(self, samples: int) -> None:
-        """Let `samples` more be recorded, and keep them at hand."""
+    def wait(self, samples: int) -> bool:
+        """Let `samples` more be recorded, and keep them at hand; whether no gap lies among them."""
         self.desk.tail.keep(samples)
-        until = self.desk.position + samples
-        while self.desk.position < until:
-            if next(self.stream, None) is None:
+        begin = self.desk.position
+        whole = True
+        while self.desk.position < begin + samples:
+            one = next(self.stream, None)
+            if one is None:
                 raise EstimationError(f"{self.desk.item.key}: the device ended before the run was complete")
+            whole &= not one[0].broken or one[0].at <= begin
+        return whole
+
+    def wait_whole(self, samples: int) -> int:
+        """Let samples be recorded until so many lie behind one another without a gap, if they ever do; their first."""
+        for _ in range(TRIES):
+            start = self.desk.position
+            if self.wait(samples):
+                break
+        return start
 
     def volts(self, rms: float, ramp: float = 0.0) -> None:
         """Set the generator, and note it; not after the guard has switched it off."""
@@ -218,8 +230,8 @@ class SteppedRun(_Excited):
 
     def _amplitude(self, frequency: float) -> NDArray[np.complex128]:
         n = self._cycles(frequency, max(4, self.excitation.cycles // 4))
-        self.wait(n)
-        return tone(self.desk.tail.latest(n), self.rate, frequency)[0]
+        start = self.wait_whole(n)
+        return tone(self.desk.tail.cut(start, start + n), self.rate, frequency)[0]
 
     def _hold(self, frequency: float, volts: float) -> tuple[float, float]:
         """Bring the tone to its level; the volts and the relative error that is left."""
@@ -239,8 +251,7 @@ class SteppedRun(_Excited):
 
     def _keep(self, frequency: float, direction: str, off: float) -> NDArray[np.complex128]:
         n = self._cycles(frequency, self.excitation.cycles)
-        start = self.desk.position
-        self.wait(n)
+        start = self.wait_whole(n)
         held = abs(off) <= self.excitation.tolerance
         reason = f"level held ({off:+.1%})" if held else f"level not reached ({off:+.1%})"
         if not held:

@@ -12,6 +12,9 @@ from labnnum.frf import Frf
 from labnnum.recording import Channel
 from labnnum.windows import window
 
+TURNS = (-180.0, -270.0, 0.0, -90.0)
+"""Degrees at which a full turn may begin, best first."""
+
 POINTS = 4096
 """Samples of the scope, and of the spectrum's segment, at most."""
 
@@ -69,6 +72,8 @@ class Snapshot:
         Rows that are forces or base motions.
     overload : tuple of bool
         Channels that met the end of their range in this run.
+    judged : bool
+        Hits are measured, which the person may accept, reject and undo.
     """
 
     state: str
@@ -93,6 +98,7 @@ class Snapshot:
     level_unit: str = ""
     messages: tuple[str, ...] = ()
     waiting: bool = False
+    judged: bool = False
     finished: bool = False
     extra: dict[str, str] = field(default_factory=dict)
 
@@ -116,9 +122,21 @@ def phase_to_show(value: NDArray) -> NDArray[np.float64]:
     [[-181.0, -179.0, -182.0]]
     """
     phase = np.degrees(np.angle(value))
-    shown = [(phase - start) % 360.0 + start for start in (-180.0, -270.0, 0.0, -90.0)]
+    shown = [(phase - start) % 360.0 + start for start in TURNS]
     jumps = [np.count_nonzero(np.abs(np.diff(one, axis=-1)) > 180.0) for one in shown]
     return shown[int(np.argmin(jumps))]
+
+
+def turn_shown(phase: NDArray) -> float:
+    """Where the full turn begins that holds these phases, in degrees: the first of `TURNS` that does.
+
+    Examples
+    --------
+    >>> turn_shown(np.array([10.0, 170.0])), turn_shown(np.array([2.0, 355.0])), turn_shown(np.array([-260.0, 80.0]))
+    (-180.0, 0.0, -270.0)
+    """
+    low, high = float(np.nanmin(phase)), float(np.nanmax(phase))
+    return next((start for start in TURNS if start <= low and high <= start + 360.0), 90.0 * float(np.floor(low / 90)))
 
 
 def around_pulse(force: NDArray) -> tuple[int, int]:

@@ -33,7 +33,7 @@ def _headline(s: Snapshot) -> Text:
     out = Text(f"{s.state}   {s.time:.1f} s", style="bold")
     if not math.isnan(s.target):
         level = "–" if math.isnan(s.level) else f"{s.level:.4g}"
-        volts = "" if math.isnan(s.volts) else f" at {s.volts:.3g} V"
+        volts = "" if math.isnan(s.volts) else f" at {s.volts:.3g} V RMS"
         out.append(f"   level {level} of {s.target:g} {s.level_unit} RMS{volts}", style="default")
     if s.lost or s.overflows:
         out.append(f"   {s.lost} frames lost, {s.overflows} overflows", style="bold red")

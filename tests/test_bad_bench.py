@@ -33,6 +33,10 @@ def nothing(folder):
 TABLE = {
     "misspelt table": (rig("[device]", "[devise]"), MEASURE, r"device is missing; did you mean it by 'devise'"),
     "misspelt key": (rig("rate = 2560", "rat = 2560"), MEASURE, r"device\.rate is missing; did you mean it by 'rat'"),
+    "key that nobody reads": (
+        rig("ramp = 0.5", "highest_force = 5\nramp = 0.5"), MEASURE,
+        r"rig\.toml: safety\.highest_force is no key; there are ramp, overload, lost",
+    ),
     "window": (rig('"hann"', '"han"'), MEASURE, r"processing\.window: .*window 'han' is not one of boxcar, hann"),
     "no second segment": (rig("segment = 16384", "segment = 163840000"), MEASURE, r"processing\.segment: two segments"),
     "no such model": (rig('"model.toml"', '"mdel.toml"'), MEASURE, r"mdel\.toml: no such file"),

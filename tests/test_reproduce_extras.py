@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from labnnum.control import decay, observer_feedback
 from labnnum.structures.examples import truck
 from sessions.cli import app
-from sessions.reproduce import control, drift, flags
+from sessions.reproduce import control, drift, flags, leakage
 from sessions.reproduce.extras import EXTRAS, drift_figure, drift_table
 
 
@@ -98,3 +98,20 @@ def test_the_command_finds_the_extras(tmp_path, monkeypatch):
     made = CliRunner().invoke(app, ["reproduce", "drift", "-o", str(tmp_path / "new"), "--json"])
     assert json.loads(made.stdout) == [90, 0]
     assert CliRunner().invoke(app, ["reproduce", "drift", "-o", str(tmp_path)]).stdout == "table\n"
+
+
+def test_parameters_are_within_their_deviations_because_the_model_is_seen_through_the_window(monkeypatch):
+    monkeypatch.setattr(leakage, "LENGTHS", (10.0,))
+    found = leakage.leakage(4, 0, quiet)
+    seen, exact = found["rows"]
+    assert (seen["how"], exact["how"]) == (leakage.SEEN, leakage.EXACT)
+    m3, k3, b3 = (found["names"].index(n) for n in ("m3", "k3", "b3"))
+    assert seen["beyond_three"] == 0
+    assert np.sqrt(np.mean(np.square(seen["rms_std"]))) < 1.5
+    for j in (m3, k3, b3):
+        assert exact["bias_percent"][j] > 5
+        assert exact["rms_std"][j] > 3
+        assert abs(seen["bias_percent"][j]) < 3
+    table = leakage.leakage_table(found)
+    assert table.count("through the window") == table.count("as it is") == 1
+    assert leakage.leakage_figure(found).startswith("<svg")

@@ -94,6 +94,16 @@ def test_a_look_at_the_running_average_leaves_no_trace():
     assert np.array_equal(seen.cross, quiet.spectra().cross, equal_nan=True)
 
 
+def test_every_whole_segment_counts_at_once_and_is_averaged():
+    running = Welch(128, overlap=0.5).start(channels(2), RATE)
+    data = noise(2, 1000)
+    for whole, (a, b) in ((0, (0, 127)), (1, (127, 128)), (1, (128, 191)), (2, (191, 192)), (5, (192, 400))):
+        running.add(data[:, a:b])
+        assert running.n_segments == whole
+        if whole:
+            assert running.spectra().n_segments == whole
+
+
 def test_monitors_enter_no_estimate():
     listed = (*channels(2), Channel("t", "temperature", "monitor"))
     data = np.vstack([noise(2, 2000), np.full((1, 2000), 293.0)])

@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.excitation import stepped_sine
 from labnnum.recording import Channel, Recording
+from labnnum.sine import tone_frf
 from labnnum.tones import stepped, tones
 
 RATE = 1000.0
@@ -77,3 +78,18 @@ def test_what_does_not_fit_is_refused():
     silent = Recording(CHANNELS, recording.data * np.array([[0.0], [1.0]]), RATE)
     with pytest.raises(EstimationError, match="silent"):
         stepped(silent, plan)
+
+
+def test_a_gap_inside_a_tone_is_not_averaged_across():
+    t = np.arange(1000) / RATE
+    pieces = [np.stack([np.sin(2 * np.pi * f * t), 3 * np.sin(2 * np.pi * f * t + 0.5)]) for f in (20.0, 47.0)]
+    data = np.hstack([np.delete(p, np.s_[300:337], axis=1) for p in pieces])
+    stretches = [(0, 963), (963, 1926)]
+    found = tone_frf(Recording(CHANNELS, data, RATE, breaks=(300, 1263)), stretches, [20.0, 47.0])
+    np.testing.assert_allclose(found.value[0, 0], 3 * np.exp(0.5j), rtol=1e-9)
+    hidden = tone_frf(Recording(CHANNELS, data, RATE), stretches, [20.0, 47.0])
+    assert np.max(hidden.variance) > 1e-6 > 1e6 * np.max(found.variance)
+    torn = Recording(CHANNELS, data, RATE, breaks=(300, *range(963, 1926, 9)))
+    assert tone_frf(torn, stretches, [20.0, 47.0]).frequency.tolist() == [20.0]
+    with pytest.raises(EstimationError, match="no tone lasts for a cycle without a break"):
+        tone_frf(torn, stretches[1:], [47.0])

@@ -30,6 +30,8 @@ class PseudoTerminal:
         s before each answer.
     mute : bool
         It hears and obeys, and says nothing.
+    answered : int
+        Commands dealt with so far, their answers sent.
     garble : bool
         Every byte of its answers but the end of the line comes with its bits turned over.
 
@@ -49,6 +51,7 @@ class PseudoTerminal:
         self.instrument = instrument
         self.delay, self.mute, self.garble = 0.0, False, False
         self.heard: list[bytes] = []
+        self.answered = 0
         self._link = link
         self._ends: tuple[int, int] | None = None
         self._thread: threading.Thread | None = None
@@ -96,6 +99,7 @@ class PseudoTerminal:
                 line, _, waiting = waiting.partition(b"\n")
                 self.heard.append(line + b"\n")
                 self._reply(master, self.instrument.answer(line + b"\n"))
+                self.answered += 1
 
     def _reply(self, master: int, answer: bytes) -> None:
         if self.delay:

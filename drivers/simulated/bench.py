@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.block import Block
+from drivers.clock import Clock, drift_note
 from drivers.digitiser import Digitiser
 from drivers.simulated.filters import HALF, Decimator, Shaper
 from drivers.simulated.inputs import Chain, Input
@@ -124,6 +125,7 @@ class SimulatedBench(Digitiser):
         self._seed = seed
         self._real_time, self._depth = real_time, max(2, int(buffer * rate / block))
         self._running = False
+        self._clock = Clock(self._rate)
         self._pump: _Pump | None = None
 
     @property
@@ -152,6 +154,11 @@ class SimulatedBench(Digitiser):
         return self._block
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """A clock that drifts, as it is noticed with a real device: from when its frames came."""
+        return drift_note("the simulated device", self._clock)
+
+    @property
     def time(self) -> float:
         """How much of the run has been digitised, in s."""
         return self._frame / self.true_rate
@@ -171,6 +178,7 @@ class SimulatedBench(Digitiser):
             source.restart()
         self._frame = self._rendered = 0
         self._lost, self._overflow = 0, False
+        self._clock = Clock(self._rate)
         self._ready = np.zeros((self.n_channels, 0))
         self._random = np.random.default_rng([self._seed, 1])
         self._running = True
@@ -219,6 +227,9 @@ class SimulatedBench(Digitiser):
         self._ready = self._ready[:, self._block :]
         out = Block(volts, self._frame, self._began + self.time, self._lost, self._overflow, over)
         self._frame += self._block
+        if self._overflow:
+            self._clock.restart()
+        self._clock.add(self._frame, self.time)
         self._lost, self._overflow = 0, False
         return out
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.engine import Engine, Point, Response
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.point import Point, Response
 from labnnum.errors import LabnnumError
 from labnnum.mechanisms.base import Change, Term
 
@@ -98,11 +99,16 @@ class _Normal:
     nuisance: NDArray
 
 
+LOOSE = 40.0
+"""A loose channel's errors over the ordinary ones: shapes and gain by more than half of themselves."""
+
+
 class Problem:
     """The objective of one fit: data, terms and scatter; evaluates itself and its Gauss-Newton model."""
 
     def __init__(self, engine: Engine, data: Data, terms: Sequence[Term], scatter: Scatter) -> None:
-        self.engine, self.data, self.terms, self.scatter = engine, data, tuple(terms), scatter
+        self.engine, self.terms, self.scatter = engine, tuple(terms), scatter
+        self.data = self._without_dropped(data)
         start = engine.start(self.terms)
         self.start = start
         parameters = engine.structure.parameters
@@ -190,7 +196,7 @@ class Problem:
         a = np.concatenate([a.real, a.imag], axis=-1)
         return a if a.ndim == 2 else np.moveaxis(a, 0, -1)
 
-    def _nuisance(self, r: Response) -> NDArray:
+    def _nuisance(self, r: Response, x: NDArray) -> NDArray:
         """Whitened columns (rows, 2 f, n) of what is marginalised, times their standard deviations."""
         sc, e = self.scatter, self.engine
         assert r.modal is not None
@@ -227,7 +233,59 @@ class Problem:
             size = np.median(np.abs(self.data.value), axis=2, keepdims=True)
             offset = sc.offset * size * np.min(np.abs(self.data.s)) / self.data.s
             parts.append(np.stack([offset, 1j * offset]))
-        return self._rows(np.concatenate(parts))
+        columns = self._rows(np.concatenate([*parts, *self._moved_supports(r, x)]))
+        for i in self._loose:
+            columns = self._loosened(columns, i, r)
+        return columns
+
+    def _loosened(self, columns: NDArray, channel: int, r: Response) -> NDArray:
+        """The columns with those of one channel's rows widened, and its share of every mode outside the band free."""
+        assert r.other_modal is not None
+        assert r.lift is not None
+        rows = self._rows_of(channel)
+        columns[rows] *= LOOSE
+        if not len(r.other_modal):
+            return columns
+        free = self._rows(r.other_modal[:, None] * r.lift)
+        more = np.zeros((columns.shape[0], columns.shape[1], free.shape[2]))
+        more[rows] = free[rows]
+        return np.concatenate([columns, more], axis=2)
+
+    def _without_dropped(self, data: Data) -> Data:
+        """The data with nothing known of channels that a term gives up."""
+        dropped = [t.data["dropped"] for t in self.terms if "dropped" in t.data]
+        if not dropped:
+            return data
+        sigma = data.sigma.copy()
+        rows = sigma.reshape(-1, sigma.shape[-1])
+        for i in dropped:
+            rows[self._rows_of(i)] *= 1e6
+        return replace(data, sigma=rows.reshape(sigma.shape))
+
+    @cached_property
+    def _loose(self) -> list[int]:
+        return [t.data["loose"] for t in self.terms if "loose" in t.data]
+
+    def _rows_of(self, channel: int) -> list[int]:
+        n_o, n_i = len(self.engine.outputs), len(self.engine.inputs)
+        if channel < n_o:
+            return [channel * n_i + j for j in range(n_i)]
+        return [o * n_i + channel - n_o for o in range(n_o)]
+
+    def _moved_supports(self, r: Response, x: NDArray) -> list[NDArray]:
+        """Columns (6, n_out, n_in, n_f) of each support that may move by itself, sized to the response."""
+        out = []
+        for term in self.terms:
+            if "moved" not in term.data:
+                continue
+            assert r.lift is not None
+            support, axis = term.data["moved"]
+            u = self.engine.imposed(support, axis, self.start.with_vector(x), self.data.s)[:, None] * r.lift
+            weight = 1.0 / self.data.sigma**2
+            size = np.sqrt(np.sum(weight * np.abs(r.value) ** 2) / max(np.sum(weight * np.abs(u) ** 2), 1e-300))
+            s = self.data.s / np.abs(self.data.s).max()
+            out.append(np.stack([a * size * f * u for f in (np.ones_like(s), s, s**2) for a in (1.0, 1j)]))
+        return out
 
     def value(self, x: NDArray, like: _Normal) -> float:
         """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
@@ -242,7 +300,7 @@ class Problem:
         resp = self.engine.response(point, self.terms, self.data.s, jacobian=jacobian, modal=True)
         r = self._rows(self.data.value - resp.value)
         j = None if resp.jacobian is None else self._rows(resp.jacobian)
-        return r, self._nuisance(resp), j
+        return r, self._nuisance(resp, x), j
 
     @staticmethod
     def _reduce(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:
@@ -259,11 +317,15 @@ class Problem:
         """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
         r, b, j = self._parts(x, jacobian=True)
         assert j is not None
-        data_part, gram, inner = self._reduce(r, b)
-        bj = np.matmul(b.transpose(0, 2, 1), j)
-        solved = np.linalg.solve(gram, bj)
-        hessian = np.matmul(j.transpose(0, 2, 1), j).sum(0) - np.matmul(bj.transpose(0, 2, 1), solved).sum(0)
-        gradient = np.einsum("rfn,rf->n", j, r, optimize=True) - np.einsum("rbn,rb->n", bj, inner, optimize=True)
+        every = np.concatenate([b, j, r[..., None]], axis=2)
+        n = b.shape[2]
+        gram = np.matmul(every.transpose(0, 2, 1), every)
+        across = gram[:, :n, n:]
+        solved = np.linalg.solve(gram[:, :n, :n] + np.eye(n), across)
+        free = (gram[:, n:, n:] - np.matmul(across.transpose(0, 2, 1), solved)).sum(0)
+        whole = float(gram[:, -1, -1].sum())
+        data_part = float(free[-1, -1]) if free[-1, -1] >= 1e-9 * whole else whole
+        hessian, gradient = free[:-1, :-1], free[:-1, -1]
         prior = 1.0 / self.std**2
         gradient = gradient - prior * (x - self.mean)
         return _Normal(data_part + self._price(x), data_part, self._price(x), gradient, hessian + np.diag(prior), b)

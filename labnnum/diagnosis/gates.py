@@ -14,6 +14,7 @@ from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.channel_clipping import ChannelClipping
 from labnnum.mechanisms.drift import Drift
 from labnnum.parameters import Parameter
+from labnnum.recording import Recording
 
 LOUD_DB = 12.0
 """Odd distortion above noise that counts as distorted."""
@@ -97,7 +98,14 @@ def _without(o: Observation, name: str) -> Observation | None:
         variance=None if f.variance is None else f.variance[keep],
         coherence=None if f.coherence is None else f.coherence[keep],
     )  # fmt: skip
-    return replace(o, frf=cut)
+    run = o.run and replace(o.run, y=o.run.y[keep], noise=o.run.noise[keep], outputs=cut.outputs)
+    rows = tuple(_less_channel(r, name) for r in o.recordings)
+    return replace(o, frf=cut, run=run, recordings=rows)
+
+
+def _less_channel(recording: Recording, name: str) -> Recording:
+    rows = [i for i, c in enumerate(recording.channels) if c.name != name]
+    return replace(recording, channels=tuple(recording.channels[i] for i in rows), data=recording.data[rows])
 
 
 def drifted(engine: Engine, observations: Sequence[Observation]) -> Named | None:

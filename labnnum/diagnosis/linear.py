@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, thin
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
@@ -119,7 +120,15 @@ class Task:
     def priced(self, terms: tuple[Term, ...], made: Fit) -> Candidate:
         """The fit as a candidate: its objective plus the price of its terms' parameters."""
         places = 2.0 * sum(np.log(self.counts.get(t.mechanism.id, 1)) for t in terms)
-        return Candidate(terms, made, made.objective + self.limits.parameter * sum(_count(t) for t in terms) + places)
+        given_up = self._given_up(terms, made)
+        own = self.limits.parameter * sum(_count(t) for t in terms)
+        return Candidate(terms, made, made.objective + own + places + given_up)
+
+    def _given_up(self, terms: Sequence[Term], made: Fit) -> float:
+        """What the rows of channels that a term gives up would cost if they fitted as well as the others do."""
+        n_o, n_i = len(self.engine.outputs), len(self.engine.inputs)
+        share = sum(1 / n_o if t.data["dropped"] < n_o else 1 / n_i for t in terms if "dropped" in t.data)
+        return made.data_part * share / (1 - share) if share else 0.0
 
 
 def base_fit(task: Task, held: Sequence[Term], start: Point) -> Fit:
@@ -127,10 +136,27 @@ def base_fit(task: Task, held: Sequence[Term], start: Point) -> Fit:
     x = start.vector()
     found = [task.down(held, x, first) for first in range(len(task.ladder) + 1)]
     best = min(found, key=lambda f: f.objective)
+    if best.prior_part > OFF * (best.point.shift.size + best.point.theta.size):
+        best = min([best, *(task.down(held, p, 0) for p in _corners(task.engine, x))], key=lambda f: f.objective)
     typical = np.full_like(best.point.log_zeta, np.median(best.point.log_zeta))
     x = replace(best.point, log_zeta=typical).vector()
     again = fit(task.engine, task.coarse, held, task.scatter, x, steps=40)
     return task.refined(min(best, again, key=lambda f: f.objective), steps=40)
+
+
+OFF = 4.0
+"""Price of the fitted errors, a parameter, beyond which other starts are worth a try: two deviations each."""
+
+
+def _corners(engine: Engine, x: NDArray) -> list[NDArray[np.float64]]:
+    """Starts with one of the structure's parameters two deviations off, up and down."""
+    out = []
+    for i, p in enumerate(engine.structure.parameters):
+        for step in (2.0, -2.0):
+            y = x.copy()
+            y[i] = np.clip(y[i] + step * p.spread, p.lower, p.upper)
+            out.append(y)
+    return out
 
 
 LOOSE = Scatter(
@@ -184,17 +210,19 @@ def select(
     law: Candidate | None = None
     gains: dict[Place, float] = {}
     for stage in range(depth):
+        if stage and (_told(law, chain, data, limits) or _finished(task, terms, chain[-1])):
+            break
         progress(f"searching the catalogue for mechanism {stage + 1}")
         found = _stage(task, terms, chain[-1], width)
         if not found:
             break
         stages.append(tuple(found))
         if stage == 0:
-            laws = _stage(replace(task, counts={}), general, chain[0], 4) if general else []
+            laws = _unnamed(task, general, chain[0], found[0])
             law = laws[0] if laws else None
-            for c in [*found, *laws[:1]]:
+            for c in [*found, *laws]:
                 place = c.last.place
-                gains[place] = max(gains.get(place, 0.0), base.objective - c.fit.objective)
+                gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)
         best = _simplest(found, limits)
         excess = max(dispersion(best.fit, data), 1.0)
         gain = (chain[-1].cost - best.cost) / excess
@@ -202,6 +230,53 @@ def select(
             break
         chain.append(best)
     return Selection(tuple(chain), tuple(stages), law, gains)
+
+
+def _told(law: Candidate | None, chain: Sequence[Candidate], data: Data, limits: Limits) -> bool:
+    """Whether one unnamed law explains all and the best name does not."""
+    if law is None or len(chain) != 2:
+        return False
+    return settled(law.fit, data, limits) and not settled(chain[-1].fit, data, limits)
+
+
+def _finished(task: Task, terms: Sequence[Term], last: Candidate) -> bool:
+    """Whether the model explains the data, and no step along any term's signature promises a mechanism more."""
+    if not settled(last.fit, task.data, task.limits):
+        return False
+    x = last.fit.point.vector()
+    leads = direction_score(task.engine, task.coarse, task.scatter, terms, x, last.terms)
+    most = max((lead.gain - task.limits.parameter * _count(lead.term) for lead in leads), default=0.0)
+    return most < 0.5 * task.limits.further  # a score at first order, beside what a fit may gain
+
+
+def settled(made: Fit, data: Data, limits: Limits) -> bool:
+    """Whether a fit leaves no more than noise, and asks of the structure no more than a sound one does."""
+    errors = made.point.shift.size + made.n_theta
+    return made.data_part < limits.unsettled * 2 * data.value.size and made.prior_part < OFF * errors
+
+
+def _unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candidate) -> list[Candidate]:
+    """The best unnamed laws, best first: smooth local ones, loose ones, and pairs where nothing else is enough."""
+    plain = replace(task, counts={})
+    found = _stage(plain, [t for t in general if t.width == 1], base, 4)[:2]
+    found += _loosened(plain, [t for t in general if t.width == 0], base)
+    best = min([*found, named], key=lambda c: c.cost)
+    pairs = [t for t in general if t.width == 2]
+    if pairs and not settled(best.fit, task.data, task.limits):
+        found += _stage(plain, pairs, base, 4)[:2]
+    return sorted(found, key=lambda c: c.cost)
+
+
+def _loosened(task: Task, loose: Sequence[Term], base: Candidate, n: int = 2) -> list[Candidate]:
+    """Terms without parameters, each fitted from the base and afresh: the base may have bent to what they excuse."""
+    found = []
+    nominal = _afresh(task.engine, base).vector()
+    for term in loose:
+        terms = (*base.terms, term)
+        made = [task.down(terms, base.fit.point.vector(), len(task.ladder)), task.down(terms, nominal)]
+        found.append(task.priced(terms, min(made, key=lambda f: f.objective)))
+    best = sorted(found, key=lambda c: c.cost)[:n]
+    return [task.priced(c.terms, task.refined(c.fit)) for c in best]
 
 
 def _simplest(found: Sequence[Candidate], limits: Limits) -> Candidate:
@@ -244,7 +319,7 @@ def _afresh(engine: Engine, before: Candidate) -> Point:
 
 
 def _count(term: Term) -> int:
-    return max(term.n, 1)
+    return term.data.get("price", max(term.n, 1))
 
 
 def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> list[Candidate]:

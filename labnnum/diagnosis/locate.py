@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.engine import Engine, Point, _Evaluation
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.fit import Data
+from labnnum.diagnosis.point import Point
 from labnnum.mechanisms.base import Place, Term
 
 
@@ -37,7 +39,7 @@ def recover(engine: Engine, data: Data, point: Point, term: Term) -> Recovered:
 
     With several inputs one dynamic stiffness is shared by all columns.
     """
-    one = _Evaluation(engine, replace(point, terms=np.zeros(term.n)), [term], data.s)
+    one = Evaluation(engine, replace(point, terms=np.zeros(term.n)), [term], data.s)
     k = term.columns.shape[1]
     x, h, z, g = one.ingredients(k)
     lift = one._lift()

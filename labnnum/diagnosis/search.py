@@ -15,8 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.engine import Engine, Point, sweep
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.evaluation import sweep
 from labnnum.diagnosis.fit import Data, Problem, Scatter
+from labnnum.diagnosis.point import Point
 from labnnum.mechanisms.base import Term
 
 

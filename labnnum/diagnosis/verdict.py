@@ -28,6 +28,7 @@ class Limits:
     improve_further: the same for each further mechanism after the one before.
     doubt: the same for "unexplained".
     sound: held-out error that no sound model leaves, unless noise makes a third of it.
+    unsettled: chi-square per value of the best explanation above which something is still missing.
     remains: part of the base's objective that is no misfit, however far it stands above the noise.
     """
 
@@ -43,6 +44,7 @@ class Limits:
     doubt: float = 0.75
     remains: float = 5e-5
     sound: float = 0.15
+    unsettled: float = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,8 @@ class Named:
             p.name: {"value": float(v), "std": float(s), "unit": p.unit}
             for p, v, s in zip(self.term.parameters, self.value, self.std, strict=True)
         }
+        for name, (v, s, unit) in self.term.mechanism.derived(self.term, self.value, self.std).items():
+            parameters[name] = {"value": v, "std": s, "unit": unit}
         sense = self.term.mechanism.sense(self.term, self.value)
         return {
             "id": self.term.mechanism.id,

@@ -182,6 +182,18 @@ class Mechanism(ABC):
     def terms(self, site: Site) -> Iterable[Term]:
         """Every way in which the mechanism can act on the structure of `site`, one Term each."""
 
+    def derived(self, term: Term, p: NDArray, std: NDArray) -> dict[str, tuple[float, float, str]]:
+        """What follows from the parameters, in the words of a data sheet: name -> (value, standard deviation, unit).
+
+        Compliances are fitted, since a clamp's is zero where it holds; stiffnesses are what people quote.
+        """
+        out: dict[str, tuple[float, float, str]] = {}
+        for q, c, s in zip(term.parameters, p, std, strict=True):
+            if q.name in STIFFNESS_OF and c > 0:
+                name, unit = STIFFNESS_OF[q.name]
+                out[name] = (float(1 / c), float(s / c**2), unit)
+        return out
+
     def sense(self, term: Term, p: NDArray) -> str | None:
         """A word for the sign of the parameters, such as "loss" or "hardening"; None where there is none."""
         return None
@@ -290,6 +302,9 @@ class Site:
 TRANSLATIONS = ("x", "y", "z")
 ROTATIONS = ("rx", "ry", "rz")
 
+
+STIFFNESS_OF = {"compliance": ("k", "N/m"), "compliance_turn": ("k_theta", "N*m/rad")}
+"""Compliances by the names of the stiffnesses that they are the inverse of."""
 
 SIZES = np.array([0.003, 0.01, 0.03, 0.1, 0.3, 1.0])
 """Relative changes of a mode's squared frequency that a search starts from."""

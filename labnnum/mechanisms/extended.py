@@ -15,6 +15,7 @@ from labnnum.errors import ConfigError, ModelError
 from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Site, Term
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+from labnnum.nonlinear import Element
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel
 from labnnum.structures.base import Matrices, Structure
@@ -34,13 +35,15 @@ class ExtendedStructure(Structure):
     """`inner` with `added` mechanisms; theta is the inner structure's, then each mechanism's.
 
     Coordinates are the inner ones, then one for each internal motion of a mechanism. `trim` shifts the inner
-    structure's natural frequencies by relative amounts, mode by mode about its nominal modes.
+    structure's natural frequencies by relative amounts, mode by mode about its nominal modes. `laws` are nonlinear:
+    they act in time simulation (`law_elements`) and as nothing in anything linear, so their parameters are not updated.
     """
 
     inner: Structure
     added: tuple[Added, ...]
     trim: tuple[float, ...] = ()
     outputs: tuple[str, ...] = field(default=())
+    laws: tuple[Added, ...] = ()
 
     @cached_property
     def _own(self) -> tuple[Parameter, ...]:
@@ -80,6 +83,10 @@ class ExtendedStructure(Structure):
         n = len(self.inner.parameters)
         cuts = n + np.cumsum([0, *(a.term.n for a in self.added)])
         return theta[:n], [theta[a:b] for a, b in pairwise(cuts)]
+
+    def law_elements(self) -> tuple[Element, ...]:
+        """The nonlinear laws as the time simulation takes them, at the values that the model file holds."""
+        return tuple(a.term.mechanism.element(a.term, [p.nominal for p in a.parameters]) for a in self.laws)  # pyright: ignore[reportAttributeAccessIssue]
 
     @cached_property
     def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray]:
@@ -281,7 +288,7 @@ def extend(
 
     trim: tuple[float, ...] = ()
     known = {m.id: m for m in catalogue or CATALOGUE}
-    added = []
+    added, laws = [], []
     for entry in entries:
         name = str(entry.get("id", ""))
         if name == "modal-trim":
@@ -289,8 +296,9 @@ def extend(
             continue
         if name not in known:
             raise ConfigError(f"mechanism.id: {name!r} is not in the catalogue: {', '.join(known)}")
-        added.append(_added(structure, known[name], entry))
-    return ExtendedStructure(structure, tuple(added), trim)
+        mechanism = known[name]
+        (laws if isinstance(mechanism, NonlinearMechanism) else added).append(_added(structure, mechanism, entry))
+    return ExtendedStructure(structure, tuple(added), trim, laws=tuple(laws))
 
 
 def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any]) -> Added:

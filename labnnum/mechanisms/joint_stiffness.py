@@ -72,7 +72,7 @@ class JointStiffness(Mechanism):
                     continue
                 column = np.zeros((site.stiffness.shape[0], 1))
                 column[index, 0] = load / kappa
-                law = Compliance(kappa, ("compliance",), ("rad/(N*m)",))
+                law = Compliance(kappa, ("compliance_turn",), ("rad/(N*m)",))
                 term = scalar_term(self, site, place, law, column, variant=variant)
                 if term is not None:
                     yield term

@@ -1,4 +1,4 @@
-"""The general local law: a smooth dynamic stiffness without a name, which says where and how well, not what.
+"""General local laws: a smooth dynamic stiffness without a name, which says where and how well, not what.
 
 Linear in its coefficients over a basis of springs, dashpots, masses, losses and relaxations, it comes close to any
 passive local physics that varies smoothly in the band. No named mechanism can explain much less than it does at the
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Group, Mechanism, Place, Site, Term
-from labnnum.mechanisms.laws import Law, Local
+from labnnum.mechanisms.laws import Law, Local, Spring
 from labnnum.mechanisms.local_dashpot import relative
 from labnnum.parameters import Parameter
 
@@ -89,3 +89,70 @@ class LocalLaw(Mechanism):
             yield Term(
                 self, place, parameters, starts, (Group(law, column, 0),), axis + (" absolute" if inertial else "")
             )
+
+
+@final
+@dataclass(frozen=True)
+class PairMatrix(Law):
+    """Any 2 x 2 dynamic stiffness of the form K + C x + M x^2, x = s / w0, symmetric or not."""
+
+    middle: float = 1.0
+    inertial: bool = False  # type: ignore[misc]
+    names: tuple[str, ...] = tuple(f"{kind}{i}{j}" for kind in "kcm" for i in (1, 2) for j in (1, 2))
+    units: tuple[str, ...] = ("N/m",) * 12
+
+    @property
+    def joint(self) -> bool:
+        """It couples its two columns."""
+        return True
+
+    def value(self, s: NDArray, p: NDArray) -> NDArray:
+        """Shape (2, 2, n_f)."""
+        return np.tensordot(np.asarray(p), self.derivative(s, p), 1)
+
+    def derivative(self, s: NDArray, p: NDArray) -> NDArray:
+        """Shape (12, 2, 2, n_f)."""
+        x = s / self.middle
+        out = np.zeros((3, 2, 2, 2, 2, s.size), complex)
+        for kind, power in enumerate((np.ones_like(x), x, x**2)):
+            for i in range(2):
+                for j in range(2):
+                    out[kind, i, j, i, j] = power
+        return out.reshape(12, 2, 2, s.size)
+
+    def local(self, p: NDArray) -> Local:
+        """A general law is for location; it has no matrices."""
+        raise TypeError("a general pair law says where, and is not a model to simulate")
+
+
+@final
+@dataclass(frozen=True)
+class PairLaw(Mechanism):
+    """Any second-order coupling of two neighbouring nodes: levers, gyroscopes, whatever pulls on both."""
+
+    id = "pair-law"
+    title = "something without a name between two nodes"
+    equation = "f = (K + C s + M s^2) (u_a, u_b)"
+    shows = "whatever it does"
+    told_apart = "a law of the stretch alone needs one column"
+    symbol = "question mark"
+    reference = "D'Ambrogio and Fregolent (1990)"
+
+    def terms(self, site: Site) -> Iterable[Term]:
+        """The motions of both nodes of each element, axis by axis."""
+        for a, b in site.elements:
+            for axis in TRANSLATIONS + ROTATIONS:
+                columns = np.hstack([site.rows(a, (axis,)), site.rows(b, (axis,))])
+                if columns.shape[1] != 2:
+                    continue
+                law = PairMatrix(float(np.sqrt(site.omega.min() * site.omega.max())))
+                scale = site.scale(Spring(), columns, np.zeros(1), 0)
+                if not np.isfinite(scale):
+                    continue
+                parameters = tuple(Parameter(n, 0.0, -1e3 * scale, 1e3 * scale, "N/m") for n in law.names)
+                single = np.eye(12)
+                lever = single[[0, 1, 2, 3]].sum(axis=0)
+                skew = single[5] - single[6]
+                rows = [lever, skew, -skew, *single[:4], *single[8:]]
+                starts = np.array([x * scale * row for row in rows for x in (0.02, 0.3)])
+                yield Term(self, Place("element", a, b), parameters, starts, (Group(law, columns, 0),), axis)

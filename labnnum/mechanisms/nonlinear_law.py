@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.errors import ConfigError
-from labnnum.mechanisms.base import TRANSLATIONS, Mechanism, Place, Site, Term
+from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Mechanism, Place, Site, Term
 from labnnum.mechanisms.local_dashpot import relative
+from labnnum.nonlinear import Element
 from labnnum.parameters import Parameter
 
 
@@ -27,14 +29,14 @@ class NonlinearMechanism(Mechanism):
     """Whether the law differs for the two senses of the motion; variants "-x" stand for the reversed one."""
 
     def terms(self, site: Site) -> Iterable[Term]:
-        """Each translation of each node against the ground, each relative translation of neighbours."""
+        """Each translation of each node against the ground, each motion of neighbours against each other."""
         for node in site.free_nodes:
             for axis in TRANSLATIONS:
                 column = site.rows(node, (axis,))
                 if column.size:
                     yield from self._both(Place("ground", node), axis, column[:, 0])
         for a, b in site.elements:
-            for axis in TRANSLATIONS:
+            for axis in (*TRANSLATIONS, *ROTATIONS):
                 column = between(site, a, b, axis)
                 if column is not None:
                     yield from self._both(Place("joint", a, b), axis, column[:, 0])
@@ -45,10 +47,11 @@ class NonlinearMechanism(Mechanism):
             yield self.term(place, "-" + axis, -column)
 
     def term(self, place: Place, variant: str, column: NDArray) -> Term:
-        """The law at one motion."""
+        """The law at one motion; on an angle its parameters are those of a moment."""
         low = 0.0 if self.positive else -np.inf
+        turned = variant.lstrip("-") in ROTATIONS
         parameters = tuple(
-            Parameter(n, 0.0, low if i == 0 else 0.0, np.inf, u)
+            Parameter(n, 0.0, low if i == 0 else 0.0, np.inf, of_angle(u) if turned else u)
             for i, (n, u) in enumerate(zip(self.names, self.units, strict=True))
         )
         starts = np.zeros((0, len(parameters)))
@@ -67,11 +70,29 @@ class NonlinearMechanism(Mechanism):
             raise ConfigError(f"mechanism {self.id!r} cannot act at {place} along {axis!r}: there is no such motion")
         return self.term(place, variant, sign * column[:, 0])
 
+    def element(self, term: Term, p: Sequence[float]) -> Element:
+        """The law of a term for `labnnum.nonlinear`, in its words."""
+        law = {"coulomb-friction": "coulomb", "stick-slip": "jenkins", "hysteresis": "bouc-wen"}.get(self.id, self.id)
+        values = tuple(float(v) for v in p)
+        if self.id == "hysteresis":
+            k, limit, n, share = values
+            values = (k, share / limit**n, (1 - share) / limit**n, n)
+        return Element(law.removesuffix("-stiffness"), np.asarray(term.data["column"], float), values)
+
     def sense(self, term: Term, p: NDArray) -> str | None:
         """Hardening or softening where the sign of the first parameter says so."""
         if self.positive:
             return None
         return "hardening" if p[0] > 0 else "softening"
+
+
+def of_angle(unit: str) -> str:
+    """Unit of a law on an angle, from that of the same law on a motion.
+
+    >>> of_angle("N*s^2/m^2")
+    'N*m*s^2/rad^2'
+    """
+    return re.sub(r"\b(N|m)\b", lambda found: {"N": "N*m", "m": "rad"}[found[0]], unit)
 
 
 def between(site: Site, a: str, b: str, axis: str) -> NDArray[np.float64] | None:

@@ -85,7 +85,7 @@ def _term(
     pick = list(axes)
     turning = [held.axes[i] in ROTATIONS for i in pick]
     units = tuple("rad/(N*m)" if turn else "m/N" for turn in turning)
-    names = ("compliance",) if len(pick) == 1 else ("compliance", "compliance_turn")
+    names = tuple("compliance_turn" if turn else "compliance" for turn in turning)
     names, units = (*names, "loss_factor"), (*units, "1")
     own = np.ix_(pick, pick)
     law = Release(held.stiffness[own], held.mass[own], names, units)

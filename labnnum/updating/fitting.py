@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from labnnum.errors import EstimationError
+from labnnum.updating.gains import affordable_powers, fit_gains
 from labnnum.updating.network import KERNELS, RbfNetwork, kernel_values, squared_distances, tail_terms
+from labnnum.updating.regression import regress
 
 
 def require_samples(features: NDArray, parameters: NDArray, least: int = 4) -> tuple[NDArray, NDArray]:
@@ -234,6 +236,7 @@ def fit_tuned(
         chosen = np.sort(np.random.default_rng(seed).choice(len(u), n_centres, replace=False))
         where = u[chosen]
         w, v, error = _solve_least_squares(u, t, where, kernel, degree)
+    gains, reach, error = _second_stage(u, t, error, n_centres)
     return RbfNetwork(
         origin=origin,
         projection=rotation / scales.lengths,
@@ -245,7 +248,20 @@ def fit_tuned(
         shift=shift,
         scale=scale,
         residual=(error.T @ error) / len(t) * np.outer(scale, scale),
+        gains=gains,
+        reach=reach,
     )
+
+
+def _second_stage(u: NDArray, t: NDArray, error: NDArray, centres: int) -> tuple[NDArray, NDArray, NDArray]:
+    """Gains, reach and leave-one-out errors: a second stage where samples are many and leave-one-out prefers it."""
+    none = np.empty((0, 1 + u.shape[1], t.shape[1])), np.empty(0), error
+    powers = affordable_powers(len(u), u.shape[1], t.shape[1])
+    if centres == len(u) or not powers:
+        return none
+    found = fit_gains(t - error, u, t, powers)
+    before, after = ((e**2).mean(axis=0) for e in (error, found[2]))
+    return found if np.log(after / before).mean() < 0 else none
 
 
 def principal_components(
@@ -362,45 +378,13 @@ def _solve_interpolant(
     return weights, tail, error
 
 
-def _triangle(rows: NDArray) -> NDArray[np.float64]:
-    """R of the QR decomposition, shape (n_columns, n_columns)."""
-    found: NDArray[np.float64] = np.asarray(np.linalg.qr(rows, mode="r"))
-    return found
-
-
-def _triangular(
-    u: NDArray, t: NDArray, centres: NDArray, kernel: str, degree: int, block: int = 4096
-) -> tuple[NDArray, NDArray]:
-    """R and the solution of the least squares fit, by QR in blocks of rows.
-
-    A ridge of 1e-10 of the largest pivot is added as extra rows, so that centres that all but coincide stay
-    harmless. Memory is that of one block, whatever the number of samples.
-    """
-    n_out, width = t.shape[1], len(centres) + tail_terms(u[:1], degree).shape[1]
-    size = np.sqrt(len(u))
-    triangle = np.hstack([1e-10 * size * np.eye(width), np.zeros((width, n_out))])
-    for start in range(0, len(u), block):
-        part = slice(start, start + block)
-        triangle = _triangle(np.vstack([triangle, np.hstack([_terms(u[part], centres, kernel, degree), t[part]])]))
-    r = triangle[:width, :width]
-    return r, linalg.solve_triangular(r, triangle[:width, width:], check_finite=False)
-
-
-def _terms(u: NDArray, centres: NDArray, kernel: str, degree: int) -> NDArray[np.float64]:
-    """Kernel values and tail terms of rows, shape (n, n_centres + n_terms)."""
-    return np.hstack([kernel_values(kernel, squared_distances(u, centres)), tail_terms(u, degree)])
-
-
 def _solve_least_squares(
-    u: NDArray, t: NDArray, centres: NDArray, kernel: str, degree: int, block: int = 4096
+    u: NDArray, t: NDArray, centres: NDArray, kernel: str, degree: int
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Weights, tail weights and leave-one-out errors with fewer centres."""
-    r, solution = _triangular(u, t, centres, kernel, degree, block)
-    errors = []
-    for start in range(0, len(u), block):
-        part = slice(start, start + block)
-        a = _terms(u[part], centres, kernel, degree)
-        leverage = (linalg.solve_triangular(r.T, a.T, lower=True, check_finite=False) ** 2).sum(axis=0)
-        errors.append((t[part] - a @ solution) / np.maximum(1 - leverage, 1e-12)[:, None])
-    m = len(centres)
-    return solution[:m], solution[m:], np.vstack(errors)
+    found = regress(
+        lambda part: tail_terms(u[part], degree),
+        lambda part: kernel_values(kernel, squared_distances(u[part], centres)),
+        t,
+    )
+    return found.body, found.head, found.errors

@@ -5,13 +5,14 @@ The answer to a feature vector x is
     y = shift + scale * (W phi(|z - c_j|) + V p(z)),    z = (x - x0) A
 
 with centres c_j, kernel phi and a polynomial tail p. The dissertation's network is the special case
-phi = exp(-d) with no tail. Source: Atalla (1996), equations 3.2, 3.21, 4.2 and 4.37.
+phi = exp(-d) with no tail. A network trained on many samples has a second stage, gains.py.
+Source: Atalla (1996), equations 3.2, 3.21, 4.2 and 4.37.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, final
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from labnnum.errors import EstimationError
 from labnnum.recording import readonly
+from labnnum.updating.gains import second_answer, second_jacobian
 
 Profile = Callable[[NDArray], tuple[NDArray, NDArray]]
 
@@ -126,6 +128,10 @@ class RbfNetwork:
         "printed" or "tuned".
     gamma : float
         The printed network's scale of spread constants; NaN otherwise.
+    gains : ndarray, shape (n_polynomials, 1 + n_inputs, n_outputs)
+        The second stage, `labnnum.updating.gains`; empty where there is none.
+    reach : ndarray, shape (n_outputs,)
+        Largest normalised first answer over the training set.
     """
 
     origin: NDArray[np.float64]
@@ -140,14 +146,16 @@ class RbfNetwork:
     residual: NDArray[np.float64]
     kind: str = "tuned"
     gamma: float = float("nan")
+    gains: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0, 0)))
+    reach: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:
             raise EstimationError(f"network: kernel {self.kernel!r} is not one of {', '.join(KERNELS)}")
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for one in fields(self):
+            value = getattr(self, one.name)
             if isinstance(value, np.ndarray):
-                object.__setattr__(self, field.name, readonly(value))
+                object.__setattr__(self, one.name, readonly(value))
 
     @property
     def n_features(self) -> int:
@@ -172,11 +180,16 @@ class RbfNetwork:
         rows = np.atleast_2d(z)
         y = np.empty((len(rows), self.n_outputs))
         for start in range(0, len(rows), _ROWS):
-            part = rows[start : start + _ROWS]
-            y[start : start + _ROWS] = kernel_values(self.kernel, squared_distances(part, self.centres)) @ self.weights
-        if self.degree >= 0:
-            y += tail_terms(rows, self.degree) @ self.tail
+            part = slice(start, start + _ROWS)
+            y[part] = self._first(rows[part])
+            if self.gains.size:
+                y[part] = second_answer(y[part], rows[part], self.gains, self.reach)
         return (self.shift + self.scale * y).reshape(*z.shape[:-1], -1)
+
+    def _first(self, rows: NDArray) -> NDArray[np.float64]:
+        """Normalised answers of the kernels and the tail, shape (n, n_outputs)."""
+        y = kernel_values(self.kernel, squared_distances(rows, self.centres)) @ self.weights
+        return y + tail_terms(rows, self.degree) @ self.tail if self.degree >= 0 else y
 
     def jacobian(self, features: NDArray) -> NDArray[np.float64]:
         """Derivative of the parameters to the features at one feature vector, shape (n_outputs, n_features).
@@ -189,8 +202,10 @@ class RbfNetwork:
         by_input = (self.weights * (2 * slope)[:, None]).T @ offset
         if self.degree >= 1:
             by_input += self.tail.T @ _tail_gradient(z, self.degree)
+        if self.gains.size:
+            by_input = second_jacobian(self._first(z[None])[0], by_input, z, self.gains, self.reach)
         return self.scale[:, None] * (by_input @ self.projection.T)
 
     def arrays(self) -> dict[str, Any]:
         """Everything that recreates the network with `RbfNetwork(**arrays)`."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {one.name: getattr(self, one.name) for one in fields(self)}

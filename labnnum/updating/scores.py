@@ -1,14 +1,15 @@
 """Features that keep what an FRF says about the parameters: scores at reference parameter sets.
 
 Where band integrals average noise and signal alike, a score weighs every line by how much it tells: at a reference it
-is the step that least squares on log H would take from there. A handful of references spread over the bounds makes a
-short vector from which a network answers close to the Cramer-Rao bound.
+is the step that least squares on log H would take from there. Scores at many references, spread over the bounds, are
+alike; the few directions that they span hold almost all that any set of parameters near them says, and a network
+answers from these close to the Cramer-Rao bound.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -17,12 +18,18 @@ from scipy.stats import qmc
 
 from labnnum.bands import Band, band_mask
 from labnnum.errors import ConfigError
-from labnnum.parameters import Parameter, bounds, nominal
+from labnnum.parameters import Parameter, bounds
 from labnnum.recording import readonly
 from labnnum.updating.features import TINY, Features
 
-_INPUTS = 36
-"""Scores aimed at in all."""
+REFERENCES = 64
+"""Parameter sets at which scores are taken."""
+
+INPUTS = 36
+"""Directions kept, at most."""
+
+KEPT = 0.99
+"""Share of the scores' length, as a mean over references and parameters, with which fewer directions suffice."""
 
 
 @final
@@ -35,7 +42,8 @@ class ScoreBands(Features):
     bands : sequence of Band
         Lines outside count nothing; a band whose `imag` weight is 0 gives its magnitude only.
     weights : ndarray, shape (n_features, 3 n_out n_in n_f)
-        Of log \|H\|, Re u and Im u of every pair and line; empty until `at_references`.
+        Of log \|H\|, Re u and Im u of every pair and line, orthonormal rows after `spanned`; empty until
+        `at_references`.
 
     Notes
     -----
@@ -43,7 +51,8 @@ class ScoreBands(Features):
 
     .. math:: G^{-1} \left[\Re s\,\log|H| + \Im s\,\Im(\bar u_r u)\right]
 
-    linear in the three numbers of a line, bounded in the phase, and near r the parameters themselves.
+    linear in the three numbers of a line, bounded in the phase, and near r the parameters themselves. An error of
+    the same relative size on every line reaches orthonormal directions with the same size, too.
     """
 
     bands: tuple[Band, ...]
@@ -79,6 +88,23 @@ class ScoreBands(Features):
             rows.append(np.linalg.solve(information, plain))
         return cls(tuple(bands), np.vstack(rows))
 
+    def spanned(self, most: int = INPUTS, kept: float = KEPT) -> ScoreBands:
+        """The leading directions of all scores, each scaled to unit length: orthonormal rows.
+
+        Parameters
+        ----------
+        most : int
+            Directions, at most.
+        kept : float
+            Fewer are taken where they hold this share of the squared length of a score, as a mean.
+        """
+        unit = self.weights / np.linalg.norm(self.weights, axis=1)[:, None]
+        power, vectors = np.linalg.eigh(unit @ unit.T)
+        power, vectors = power[::-1], vectors[:, ::-1]
+        held = np.cumsum(power) / power.sum()
+        count = min(most, int(np.searchsorted(held, kept)) + 1, int((power > 1e-10 * power[0]).sum()))
+        return replace(self, weights=(unit.T @ (vectors[:, :count] / np.sqrt(power[:count]))).T)
+
     def __call__(self, frequency: NDArray, value: NDArray) -> NDArray[np.float64]:
         """Scores, shape (..., n_features), of FRFs on the lines of the references."""
         del frequency
@@ -94,15 +120,8 @@ class ScoreBands(Features):
         return {"weights": self.weights}
 
 
-def references(parameters: Sequence[Parameter], count: int = 0) -> NDArray[np.float64]:
-    """Parameter sets at which scores are taken: the nominal one and Sobol points in the middle of the bounds.
-
-    Parameters
-    ----------
-    count : int
-        0 takes as many as give some 36 scores, 4 to 12.
-    """
+def references(parameters: Sequence[Parameter], count: int = REFERENCES) -> NDArray[np.float64]:
+    """Parameter sets at which scores are taken: Sobol points that fill the bounds, shape (count, n_parameters)."""
     low, high = bounds(parameters)
-    n = count or int(np.clip(round(_INPUTS / len(parameters)), 4, 12))
-    unit = qmc.Sobol(len(parameters), seed=3).random_base2(4)[: n - 1]  # pyright: ignore
-    return np.vstack([nominal(parameters), low + (high - low) * (0.1 + 0.8 * unit)])
+    sobol = qmc.Sobol(len(parameters), seed=3)  # pyright: ignore
+    return low + (high - low) * sobol.random_base2(int(np.ceil(np.log2(count))))[:count]

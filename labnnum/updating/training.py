@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from typing import Literal
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,7 +159,8 @@ class TrainingPlan:
         value, slope = self.batch().sensitivity(references(free))
         if self.view is not None:
             value, slope = self.view.apply(value), self.view.apply(slope)
-        return ScoreBands.at_references(bands, self.frequency, value, slope, np.array([p.spread for p in free]))
+        spread = np.array([p.spread for p in free])
+        return ScoreBands.at_references(bands, self.frequency, value, slope, spread).spanned()
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,9 +256,24 @@ def _results(plan: TrainingPlan, starts: range, size: int, executor: Executor | 
         for start in starts:
             yield start, compute_block(plan, start, size, batch)
         return
-    waiting: list[tuple[int, Future]] = [(s, executor.submit(compute_block, plan, s, size)) for s in starts]
+    token = uuid4().hex
+    waiting: list[tuple[int, Future]] = [(s, executor.submit(_block_elsewhere, token, plan, s, size)) for s in starts]
     for start, future in waiting:
         yield start, future.result()
+
+
+_prepared: dict[str, FrfBatch] = {}
+"""What a worker prepared for the training set that it works at: for a large structure that costs as much as a block."""
+
+
+def _block_elsewhere(token: str, plan: TrainingPlan, start: int, size: int) -> NDArray[np.float64]:
+    """`compute_block` in a worker; `token` is the training set's."""
+    batch = _prepared.get(token)
+    if batch is None:
+        batch = plan.batch()
+        _prepared.clear()
+        _prepared[token] = batch
+    return compute_block(plan, start, size, batch)
 
 
 def compute_block(plan: TrainingPlan, start: int, size: int, batch: FrfBatch | None = None) -> NDArray[np.float64]:

@@ -46,7 +46,8 @@ def measure(
     except KeyboardInterrupt:
         typer.echo("labnnum: interrupted; the same command goes on from here", err=True)
         raise typer.Exit(130) from None
-    _tell(outcome, as_json)
+    e = found.toml.excitation
+    _tell(outcome, (e.low, e.high or 0.4 * found.rate), as_json)
     if not outcome.complete:
         raise typer.Exit(3)
 
@@ -78,14 +79,20 @@ def _display(live: bool, quiet: bool):
     return Quiet() if quiet else Text()
 
 
-def _tell(outcome, as_json: bool) -> None:
-    import json
-
+def _coherence(frf, band: tuple[float, float]) -> float | None:
+    """Mean coherence of the lines in the excitation's band; None if there is none."""
     import numpy as np
 
-    mean = {
-        k: None if f.coherence is None else round(float(np.nanmean(f.coherence)), 6) for k, f in outcome.frfs.items()
-    }
+    inside = (frf.frequency >= band[0]) & (frf.frequency <= band[1])
+    if frf.coherence is None or not np.isfinite(frf.coherence[..., inside]).any():
+        return None
+    return round(float(np.nanmean(frf.coherence[..., inside])), 6)
+
+
+def _tell(outcome, band: tuple[float, float], as_json: bool) -> None:
+    import json
+
+    mean = {k: _coherence(f, band) for k, f in outcome.frfs.items()}
     if as_json:
         told = {
             "session": str(outcome.path),
@@ -101,7 +108,7 @@ def _tell(outcome, as_json: bool) -> None:
     for key, how in outcome.items.items():
         typer.echo(f"{key}: {how or 'to do'}")
     for key, frf in outcome.frfs.items():
-        coherence = "" if mean[key] is None else f", mean coherence {mean[key]:.3f}"
+        coherence = "" if mean[key] is None else f", mean coherence {mean[key]:.3f} from {band[0]:g} to {band[1]:g} Hz"
         typer.echo(f"FRF {key}: {frf.value.shape[0]} x {frf.value.shape[1]}, {frf.frequency.size} lines{coherence}")
     for text in outcome.messages:
         typer.echo(f"note: {text}", err=True)

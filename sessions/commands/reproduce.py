@@ -22,7 +22,7 @@ def reproduce(
         int,
         typer.Option(
             help="Verification sets of each case; fewer for a quick look. By default 5000; 90 blocks of"
-            " drift, 200 measurements of each kind for flags.",
+            " drift, 200 measurements of each kind for flags, 40 records for leakage.",
             show_default=False,
         ),
     ] = 0,
@@ -42,7 +42,8 @@ def reproduce(
     case go to a folder. Stop it with Ctrl-C and run it again: it goes on where it stopped.
 
     Besides, control compares gains of an optimal regulator on the truck, drift follows a truck that changes while its
-    loop is closed, and flags counts false alarms and misses of the checks on a measurement.
+    loop is closed, flags counts false alarms and misses of the checks on a measurement, and leakage fits the model to
+    H1 of time records, seen through their window and not.
 
     For example:
 

@@ -70,6 +70,7 @@ def simulate(
     from rich.progress import Progress
 
     from drivers.simulated import Drive, Input
+    from labnnum.mechanisms import ExtendedStructure
     from sessions.devices import true_parameters
     from sessions.model import read_model
     from sessions.simulate import Bench, default_inputs, settling, simulate_run
@@ -84,6 +85,7 @@ def simulate(
     inputs = [Input(c, full_scale=float("inf"), bits=0) for c in default_inputs(structure, channel, response or [])]
     bench = Bench(rate, noise, bits, seed=seed, tip=tip, interval=interval or 1.2 * settling(structure, theta))
     elements = [_element(structure, theta, text) for text in nonlinear or []]
+    elements += structure.law_elements() if isinstance(structure, ExtendedStructure) else ()
     levels = level or [100.0 if excitation == "hammer" else 1.0]
     runs = [(one, r) for one in levels for r in range(realisations)]
     table = _excitation(excitation, duration, periods, period, detection, low, high, seed)

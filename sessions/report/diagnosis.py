@@ -204,7 +204,7 @@ def _acting(d: Diagnosis) -> tuple[Term, Named | None] | None:
             return n.term, n
     if d.verdict == "unexplained" and d.place is not None:
         for t in d.detail["general"]:
-            if t.place == d.place:
+            if t.place == d.place and t.groups:
                 return t, None
     return None
 

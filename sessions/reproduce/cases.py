@@ -47,6 +47,8 @@ class Case:
         Section or table that prints it.
     features : str
         What our network sees.
+    noisy : str
+        What our network sees that is trained with noise: scores, where damping bounds them.
     """
 
     name: str
@@ -59,15 +61,18 @@ class Case:
     published: Published
     where: str
     features: str = "log"
+    noisy: str = "score"
 
 
-def of_example(name: str, title: str, e: Example, published: Published, where: str, features: str = "log") -> Case:
+def of_example(
+    name: str, title: str, e: Example, published: Published, where: str, features: str = "log", noisy: str = "score"
+) -> Case:
     """The case of an example with a linear structure."""
     lines = np.unique(np.concatenate([np.linspace(b.low, b.high, LINES) for b in e.bands]))
     labels = tuple(f"{o.name} / {i.name}" for o in e.outputs for i in e.inputs)
     return Case(
         name, title, lambda: FrfBatch.of(e.structure, lines, e.outputs, e.inputs), labels, tuple(e.bands), lines,
-        e.samples, published, where, features,
+        e.samples, published, where, features, noisy,
     )  # fmt: skip
 
 
@@ -110,12 +115,12 @@ _LADDER = "m11 m12 m13 m14 m15 k1 k6"
 
 
 def _cases() -> dict[str, Callable[[], Case]]:
-    def named(key: str, title: str, published: Published, where: str, samples: int = 0, features: str = "log") -> Case:
+    def named(key: str, title: str, published: Published, where: str, samples: int = 0, **seen: str) -> Case:
         e = EXAMPLES[key]()
         e = Example(e.structure, e.outputs, e.inputs, e.bands, samples or e.samples)
         name = key.replace("yang-brown", "yang") + (f"-{samples}" if samples else "")
         name = "kabe-undamped" if key == "kabe" else name
-        return of_example(name, title, e, published, where, features)
+        return of_example(name, title, e, published, where, **seen)
 
     return {
         "truck-1": lambda: _truck(("m3",), 1, _zip("m3", "0.0029"), "section 4.7"),
@@ -131,9 +136,9 @@ def _cases() -> dict[str, Callable[[], Case]]:
             _ALL, 3, _zip(_FIVE, "1.50 0.79 1.58 2.47 2.03", "17.72 10.72 20.47 20.66 13.61"), "table 4.1"
         ),
         "kabe-undamped": lambda: named("kabe", "Kabe, undamped", _zip("k1 k5", "2.3 5.8", "31.9 46.9"), "section 5.2",
-                              features="sphere"),
+                              features="sphere", noisy="sphere"),
         "kabe-damped": lambda: named("kabe-damped", "Kabe, damped", _zip("k1 k5", "0.4 2.7", "11.9 40.0"),
-                                     "section 5.2"),
+                                     "section 5.2", features="sphere"),
         "yang-low-528": lambda: named(
             "yang-brown-low", "Yang and Brown, low damping, 528 samples",
             _zip(_LADDER, "1.25 0.79 1.07 1.31 1.95 0.31 0.56", "5.74 5.68 6.07 6.74 13.25 1.52 1.94"),
@@ -181,6 +186,6 @@ def chosen(example: str) -> tuple[str, ...]:
     names = tuple(n for n in CASES if not example or n == example or n.startswith(f"{example}-"))
     if not names:
         raise ConfigError(
-            f"reproduce: there is no example {example!r}; there are {', '.join(CASES)}, control, drift, flags"
+            f"reproduce: there is no example {example!r}; there are {', '.join(CASES)}, control, drift, flags, leakage"
         )
     return names

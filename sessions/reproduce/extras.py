@@ -1,4 +1,4 @@
-"""What is shown beside the tables of errors: control of the truck, control while it drifts, and flags."""
+"""What is shown beside the tables of errors: control of the truck, control while it drifts, flags, and leakage."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from sessions.reproduce.control import control, control_table
 from sessions.reproduce.drift import Block, drift
 from sessions.reproduce.flags import flags, flags_table
 from sessions.reproduce.keep import write
+from sessions.reproduce.leakage import leakage, leakage_figure, leakage_table
 from sessions.reproduce.networks import Say
 from sessions.reproduce.page import page
 
@@ -48,6 +49,13 @@ def write_drift(blocks: int, seed: int, folder: Path, say: Say) -> str:
     return _written(folder, "drift", "Control while the truck drifts", drift_table(walk), found, [drift_figure(walk)])
 
 
+def write_leakage(sets: int, seed: int, folder: Path, say: Say) -> str:
+    """Parameters from time records, with the window's view of the model and without."""
+    found = leakage(sets, seed, say)
+    table = leakage_table(found)
+    return _written(folder, "leakage", "Leakage", table, found, [leakage_figure(found)])
+
+
 def _written(folder: Path, name: str, title: str, table: str, found: object, figures: Sequence[str]) -> str:
     write(folder, f"{name}.txt", table)
     write(folder, f"{name}.html", page(title, [("Figures", table, figures)]))
@@ -59,6 +67,7 @@ EXTRAS: dict[str, tuple[Extra, int]] = {
     "control": (write_control, 5000),
     "drift": (write_drift, 90),
     "flags": (write_flags, 200),
+    "leakage": (write_leakage, 40),
 }
 """Word -> what writes it, and how many sets (of each kind) or blocks it takes by default."""
 

@@ -82,8 +82,8 @@ class Training:
         return Trained(features, fit_tuned(rows, theta, centres=centres, seed=self.seed, most=most))
 
     def noisy(self, samples: int, centres: int, noise: float) -> Trained:
-        """Ours, trained with noise: fewer centres than samples, and scores instead of means where damping allows."""
-        features = self._features("score" if self.case.features == "log" else self.case.features)
+        """Ours, trained with noise: fewer centres than samples."""
+        features = self._features(self.case.noisy)
         what = f"{samples} samples with {100 * noise:g} % noise"
         theta, rows = self._samples(features, samples, "sobol", noise, what)
         network = fit_tuned(rows, theta, centres=min(centres, samples), seed=self.seed, most=features.components)
@@ -95,7 +95,7 @@ class Training:
         if kind == "score":
             value, slope = self.solver.sensitivity(references(free))
             spread = np.array([p.spread for p in free])
-            return ScoreBands.at_references(bands, self.case.frequency, value, slope, spread)
+            return ScoreBands.at_references(bands, self.case.frequency, value, slope, spread).spanned()
         first = draw(free, 64, "sobol", self.seed, MARGIN)
         return make_features(kind, bands).fitted(self.case.frequency, self.solver.frf(first))
 

@@ -10,7 +10,7 @@ import pyqtgraph as pg
 from numpy.typing import NDArray
 from PySide6 import QtCore, QtGui, QtWidgets
 
-from sessions.snapshot import Curves, HitLine, Progress, Snapshot, around_pulse
+from sessions.snapshot import Curves, HitLine, Progress, Snapshot, around_pulse, turn_shown
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#8c564b")
 """Told apart by most colour-blind people as well (Okabe and Ito)."""
@@ -19,6 +19,10 @@ GREEN, RED, GREY = "#1b7f3b", "#c62828", "#9e9e9e"
 KEYS = {"A": "accept", "R": "reject", "U": "undo", "N": "next", "Space": "next", "Esc": "stop"}
 SILENCE = 3000
 """ms without a snapshot after which the window says so."""
+MARGIN = 62
+"""Pixels beside every plot for its axis: plots below one another have their frequencies below one another."""
+TITLE = 40
+"""Pixels that a window's title bar and frame take at most."""
 
 
 @final
@@ -37,7 +41,7 @@ class View(QtWidgets.QMainWindow):
         self.snapshot: Snapshot | None = None
         self._closed_in = 0
         self.setWindowTitle("labnnum")
-        self.resize(1500, 900)
+        self.resize(_fitting(1500, 900, self.screen().availableSize()))
         pg.setConfigOptions(antialias=False, background="w", foreground="k")
         self.inputs = Traces("time", "s", "inputs")
         self.scope = Traces("time", "s", "responses")
@@ -155,6 +159,7 @@ class View(QtWidgets.QMainWindow):
         over = s.finished
         self.stop.setEnabled(not over and self.stop.isEnabled())
         for word, button in self.buttons.items():
+            button.setVisible(s.judged)
             button.setEnabled(not over and (bool(s.hits) or word == "next"))
 
     def _draw_hit(self, s: Snapshot, labels: list[str]) -> None:
@@ -178,8 +183,8 @@ class View(QtWidgets.QMainWindow):
         self.magnitude.draw(c.frequency, c.magnitude, [f"{n}, {c.unit}" for n in names])
         self.phase.draw(c.frequency, c.phase, names)
         if c.phase.size:
-            low = min(90.0 * np.floor(float(np.nanmin(c.phase)) / 90.0), -180.0)
-            self.phase.plot.setYRange(low - 5, max(low + 365, float(np.nanmax(c.phase)) + 5))
+            low = turn_shown(c.phase)
+            self.phase.plot.setYRange(low - 5, low + 365)
         if c.coherence is not None:
             self.coherence.draw(c.frequency, c.coherence, names)
 
@@ -200,8 +205,13 @@ class View(QtWidgets.QMainWindow):
 def _level(s: Snapshot) -> str:
     parts = [f"{s.time:.1f} s"]
     if not np.isnan(s.target):
-        parts.append(f"level {s.level:.4g} of {s.target:g} {s.level_unit} RMS, generator {s.volts:.3g} V")
+        parts.append(f"level {s.level:.4g} of {s.target:g} {s.level_unit} RMS, generator {s.volts:.3g} V RMS")
     return "   ".join(parts)
+
+
+def _fitting(width: int, height: int, screen: QtCore.QSize) -> QtCore.QSize:
+    """A window of that size, or as much of it as the screen has room for under a title bar: stop must be in reach."""
+    return QtCore.QSize(min(width, screen.width()), min(height, screen.height() - TITLE))
 
 
 @final
@@ -219,11 +229,12 @@ class Traces:
         for axis in ("bottom", "left"):
             item.getAxis(axis).enableAutoSIPrefix(False)
         item.setLabel("left", left)
+        item.getAxis("left").setWidth(MARGIN)
         item.setLogMode(y=log)
         item.showGrid(x=True, y=True, alpha=0.25)
         item.setDownsampling(auto=True, mode="peak")
         item.setClipToView(True)
-        self._legend = item.addLegend(offset=(-6, 4), labelTextSize="8pt")
+        self._legend = item.addLegend(offset=(-6, 4), labelTextSize="8pt", brush=(255, 255, 255, 200))
 
     def draw(self, x: NDArray, rows: NDArray, names: list[str]) -> None:
         """One curve a row; what cannot be drawn on a logarithmic axis is left open."""

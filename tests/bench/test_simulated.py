@@ -285,6 +285,16 @@ def test_drift_vanishing_and_order_of_calls():
         bench.read()
 
 
+@pytest.mark.parametrize(("ppm", "said"), [(0.0, ()), (-300.0, "300 ± 0 ppm slow"), (20.0, ())])
+def test_a_drifting_clock_is_noticed(ppm, said):
+    faults = Faults(drift_ppm=ppm, dropouts=0.5, dropout_frames=50)
+    bench = bench_of([Input(FORCE), Input(TIP)], [Drive(FORCE)], [Silence()], faults=faults)
+    bench.start()
+    while bench.time < 12.0:
+        bench.read()
+    assert said in bench.notes[0] if said else bench.notes == ()
+
+
 def test_clock_drift_moves_a_generators_frequency():
     generator = FunctionWave()
     generator.on, generator.amplitude, generator.frequency = True, 1.0, 100.0

@@ -30,6 +30,7 @@ def snapshot(n_hits=3, **more) -> Snapshot:
     given = {
         "curves": drawn, "hits": hits, "hit": scope, "overload": (False, True, False), "time": 12.5, "lost": 3,
         "progress": (Progress("hammer 1:x", 1, 1), Progress("hammer 2:x", 2, 5, True)), "messages": ("mind the cable",),
+        "judged": True,
     }  # fmt: skip
     return Snapshot("point 2:x: strike", **scope_view(CHANNELS, 1024.0, scope), **(given | more))
 
@@ -79,14 +80,28 @@ def test_the_pulse_of_a_hit_fills_its_plot_and_the_phase_its_turn(view):
     assert top > 181
 
 
+def test_stop_is_in_reach_on_a_small_screen():
+    from PySide6 import QtCore
+
+    from sessions.window.view import _fitting
+
+    assert _fitting(1500, 900, QtCore.QSize(1366, 768)) == QtCore.QSize(1366, 728)
+    assert _fitting(1500, 900, QtCore.QSize(2560, 1440)) == QtCore.QSize(1500, 900)
+
+
 def test_a_shaker_run_is_shown_without_hits(view):
-    view.show_snapshot(snapshot(0, hit=None, level=1.9, target=2.0, level_unit="N", volts=0.4, curves=None))
-    assert "level 1.9 of 2 N RMS, generator 0.4 V" in view.level.text()
+    view.show_snapshot(
+        snapshot(0, hit=None, level=1.9, target=2.0, level_unit="N", volts=0.4, curves=None, judged=False)
+    )
+    assert "level 1.9 of 2 N RMS, generator 0.4 V RMS" in view.level.text()
+    assert not any(button.isVisible() for button in view.buttons.values())
+    assert view.stop.isVisible()
     assert not view.hits.isVisible()
     assert not view.hit.plot.isVisible()
     assert view.magnitude.curves == []
     view.show_snapshot(snapshot())
     assert view.hits.isVisible()
+    assert all(button.isVisible() for button in view.buttons.values())
 
 
 def test_keys_and_buttons_send_commands(view, qtbot):

@@ -13,6 +13,7 @@ from labnnum.recording import Channel, Recording
 from sessions.diagnose import diagnose_files
 from sessions.exchange import load_recordings
 from sessions.limits import read_limits, write_limits
+from sessions.prove.answers import same_place
 from sessions.prove.cases import make_case, write_case
 
 KEYS = {
@@ -50,6 +51,23 @@ def test_a_gross_fault_is_named_where_it_is(tmp_path, fault, severity, verdict):
     (stated,) = content["mechanism"]["parameters"].values()
     (true,) = truth["faults"][0]["parameters"].values()
     assert abs(stated["value"] - true["value"]) < max(0.1 * abs(true["value"]), 4 * stated["std"])
+
+
+@pytest.mark.parametrize(
+    ("structure", "fault", "severity"),
+    [
+        ("chain", "misplaced-sensor", 0.9),
+        ("base-beam", "rocking-base", 0.9),
+        ("chain", "gyroscopic-coupling", 0.8),
+    ],
+)
+def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault, severity):
+    truth, content = diagnosed(tmp_path, 2, structure, fault, severity)
+    (concealed,) = truth["faults"]
+    assert content["verdict"] == "unexplained"
+    assert content["mechanism"] is None
+    assert same_place(content["place"], concealed)
+    assert same_place(content["located"][0]["place"], concealed)
 
 
 def test_files_of_an_answer(tmp_path):

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labnnum.diagnosis.engine import Engine, sweep
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.evaluation import sweep
 from labnnum.diagnosis.places import all_terms, places_of
 from labnnum.errors import ConfigError
 from labnnum.mechanisms import CATALOGUE, extend

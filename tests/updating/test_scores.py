@@ -23,16 +23,38 @@ def plan():
     return training_plan(STRUCTURE, BANDS, OUTPUTS, INPUTS, LINES, samples=100, features="score")
 
 
-def test_near_a_reference_the_scores_are_the_parameters(plan):
-    at = references(STRUCTURE.parameters)
+@pytest.fixture(scope="module")
+def scores(plan):
+    """Scores at three references, and these."""
+    at = references(STRUCTURE.parameters, 3)
+    value, slope = plan.batch().sensitivity(at)
+    return ScoreBands.at_references(BANDS, plan.frequency, value, slope, SPREAD), at
+
+
+def test_near_a_reference_the_scores_are_the_parameters(plan, scores):
+    features, at = scores
     n = len(SPREAD)
-    assert plan.features.weights.shape[0] == n * len(at)
+    assert features.weights.shape[0] == n * len(at)
     for r, theta in enumerate(at):
         for j in range(n):
             step = np.eye(n)[j] * 1e-4 * SPREAD
-            moved = plan.features(plan.frequency, plan.frfs(np.array([theta + step, theta - step])))
+            moved = features(plan.frequency, plan.frfs(np.array([theta + step, theta - step])))
             found = (moved[0] - moved[1])[r * n : (r + 1) * n] / 2e-4
             assert np.allclose(found, np.eye(n)[j], atol=1e-3)
+
+
+def test_directions_are_orthonormal_and_hold_the_scores(scores, plan):
+    features, _ = scores
+    every = features.spanned(most=100, kept=1.0)
+    rows = every.weights
+    assert np.allclose(rows @ rows.T, np.eye(len(rows)), atol=1e-8)
+    unit = features.weights / np.linalg.norm(features.weights, axis=1)[:, None]
+    assert np.allclose(np.linalg.norm(unit @ rows.T, axis=1), 1, atol=1e-8)
+    few = features.spanned(most=100, kept=0.9).weights
+    held = (np.linalg.norm(unit @ few.T, axis=1) ** 2).mean()
+    less = (np.linalg.norm(unit @ few[:-1].T, axis=1) ** 2).mean()
+    assert less < 0.9 <= held
+    assert len(plan.features.weights) <= 36
 
 
 def test_lines_outside_the_bands_count_nothing(plan):

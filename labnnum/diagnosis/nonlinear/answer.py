@@ -13,12 +13,13 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.joined import joined, records
-from labnnum.diagnosis.nonlinear.locate import Spot, spots
+from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.problem import Joint, choose_lines
-from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
+from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, further, refined, search
+from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, further, of_known, refined, search
 from labnnum.diagnosis.nonlinear.timing import Timed, timing, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -26,10 +27,12 @@ from labnnum.diagnosis.verdict import Alternative, Limits, Named
 from labnnum.mechanisms import CATALOGUE
 from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
-from labnnum.recording import Recording
 
 UNCONFIRMED = "no nonlinear law gains more than a sound structure's scatter"
 """Signs without a law: a converter's steps and a shaker's harmonics repeat every period as well."""
+
+KNOWN = "the laws that the model holds explain the change with level"
+"""The reason where nothing is missing."""
 
 MECHANISMS = {m.id: m for m in CATALOGUE if isinstance(m, NonlinearMechanism)}
 
@@ -74,7 +77,7 @@ class NonlinearAnswer:
 def answer(
     engine: Engine, train: Sequence[Observation], test: Sequence[Observation], places: Places, scatter: Scatter,
     limits: Limits, span: tuple[float, float], progress: Callable[[str], None] = lambda text: None,
-    others: Sequence[Observation] = (), nearly: float = 0.0,
+    others: Sequence[Observation] = (), known: Sequence[Lead] = (), nearly: float = 0.0,
 ) -> NonlinearAnswer | None:  # fmt: skip
     """What nonlinear physics the observations show; None where they show none.
 
@@ -84,6 +87,8 @@ def answer(
         Periodic runs with their spectra.
     others : sequence of Observation
         Hits and random data, which are looked at where there are no periodic runs.
+    known : sequence of Lead
+        Laws that the model holds: where they explain the data nothing else is sought.
     span : (low, high)
         Band in Hz.
     nearly : float
@@ -98,7 +103,8 @@ def answer(
     if not runs:
         if not changed(others):
             return None
-        parts = split(others)
+        b = engine.band_modes
+        parts = split(others, float(1 / np.min(engine.zeta0[b] * engine.state(engine.theta0).omega[b])))
         train = sorted((_within(o, span) for o in parts.train), key=lambda o: o.level)
         test = sorted((_within(o, span) for o in parts.test), key=lambda o: o.level)
         runs, whole = [o.run for o in train if o.run is not None], parts.whole
@@ -107,6 +113,12 @@ def answer(
     train, runs = _levels(train, runs)
     i = quietest(runs)
     point = base_point(engine, train[i], scatter, span)
+    if known:
+        progress("fitting the laws of the model")
+        held = of_known(engine, point, runs, i, known, scatter)
+        if held is not None and held.best.made.data_part < MISFIT * held.best.made.count:
+            made = _decide(held, [held.best], train, test, scatter, limits, whole)
+            return replace(made, named=(), place=None, reason=KNOWN)
     site = engine.site(places.nodes, places.elements, places.supports)
     every = spots(engine, site)
     timed = timing(train, every) if nearly else []
@@ -117,6 +129,8 @@ def answer(
         return None
     progress("comparing places and laws")
     tried = refined(found, scatter, _rivals(found, every, scatter))
+    if not tried:
+        return None
     found = replace(found, tried=tuple(tried))
     laws = _chain(found, every, train, test, scatter, limits, progress)
     more = records(others, span, runs[0].miss) if nearly and not whole else []
@@ -178,10 +192,13 @@ def _rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried
     """The winning law at the spots that explain the distortion next best."""
     best = found.best
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
-    order = sorted(found.recovered, key=lambda q: -q.share)
-    own = next((q.share for q in order if q.spot.place == best.spot.place), order[0].share)
-    near = [q.spot for q in order if (q.spot.place, q.spot.axis) not in have and 1 - q.share < 1.5 * (1 - own)]
+    own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
+    near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
     return at_places(found, best, near, scatter, most=2)
+
+
+RIVAL = 0.8
+"""Part of what a general law removes at the best place that it must remove at another for the law to be tried there."""
 
 
 def _decide(
@@ -222,9 +239,9 @@ def _decide(
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
     if whole:
-        linear, n_train = linearised_records(found, last, whole, scatter), len(whole)
+        linear, n_train = linearised_records(found, last.made, whole, scatter), len(whole)
     else:
-        linear, n_train = _linearised(found, last, orbits, (*train, *test), scatter), len(train)
+        linear, n_train = linearised(found, last.made, orbits, (*train, *test), scatter), len(train)
     alternatives = _alternatives(best, rivals, limits)
     located = _located(found)
     if told(timed, limits):
@@ -339,69 +356,6 @@ def _errors_of(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) ->
         each.append(np.mean(np.sum((part * spread) ** 2, axis=1) / power))
     train, test = each[:n_train], each[n_train:] or each[:n_train]
     return float(np.sqrt(np.mean(train))), float(np.sqrt(np.mean(test)))
-
-
-def _linearised(
-    found: Study, last: Tried, orbits: Sequence[Any], observations: Sequence[Observation], scatter: Scatter
-) -> list[Observation]:
-    """Observations whose FRFs lack what the nonlinear force adds, with what its model may have wrong as variance."""
-    runs = [o.run for o in observations if o.run is not None]
-    none = [choose_lines(r, 2, scatter.floor) for r in runs]
-    joint = Joint(found.engine, found.point, runs, last.made.terms, scatter, none, whole=True)
-    made = joint.receptances(last.made.x)
-    out = []
-    for o, run, orbit in zip(observations, joint.runs, orbits, strict=True):
-        r = made[run.key]
-        share = r.lift * (r.h * orbit.force).sum(axis=1)
-        at = np.searchsorted(run.frequency, o.frf.frequency - 1e-9)
-        out.append(_less(o, share[:, at] / run.u[at]))
-    return out
-
-
-def _less(o: Observation, change: NDArray) -> Observation:
-    """The observation with `change` (n_out, n_f) taken off its FRF."""
-    assert o.frf.variance is not None
-    variance = o.frf.variance + (0.02 * np.abs(change))[:, None] ** 2
-    frf = replace(o.frf, value=o.frf.value - change[:, None], variance=variance)
-    return replace(o, frf=frf, distortion={}, run=None, recordings=(), drift=0.0, drift_slope=None)
-
-
-def linearised_records(
-    found: Study, last: Tried, whole: Sequence[Observation], scatter: Scatter
-) -> list[Observation]:  # fmt: skip
-    """The same for hits and random data: the share of the simulated responses in each FRF, estimated alike."""
-    from labnnum.estimators import H1
-    from labnnum.spectra import Welch
-
-    out = []
-    for o in whole:
-        runs = hits_of(o) if o.kind == "hammer" else [stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)]
-        none = [choose_lines(r, 2, scatter.floor) for r in runs]
-        joint = Joint(found.engine, found.point, runs, last.made.terms, scatter, none, whole=True)
-        made = joint.receptances(last.made.x)
-        orbits = joint.settle(last.made.x, [None] * len(runs), 12)
-        shares = []
-        for run, orbit in zip(runs, orbits, strict=True):
-            assert orbit is not None
-            r = made[run.key]
-            shares.append(r.lift * (r.h * orbit.force).sum(axis=1))
-        if o.kind == "hammer":
-            top = sum(a * np.conj(r.u) for a, r in zip(shares, runs, strict=True))
-            power = sum(np.abs(r.u) ** 2 for r in runs)
-            at = np.minimum(np.searchsorted(runs[0].frequency, o.frf.frequency - 1e-9), runs[0].u.size - 1)
-            change = (np.asarray(top) / np.maximum(np.asarray(power), 1e-300))[:, at]
-        else:
-            recording, run = o.recordings[0], runs[0]
-            n = run.period
-            time = np.fft.irfft(shares[0] * (n / 2), n, axis=1)
-            data = np.vstack([np.fft.irfft(run.u * (n / 2), n)[None], time])
-            channels = (recording.channels[recording.inputs[0]], *run.outputs)
-            simulated = Recording(channels, data, run.rate, label=o.label)
-            frf = H1(Welch(int(o.frf.settings["n_segment"]), window="hann", overlap=0.5))(simulated)
-            at = np.minimum(np.searchsorted(frf.frequency, o.frf.frequency - 1e-9), frf.frequency.size - 1)
-            change = frf.value[:, 0, at]
-        out.append(_less(o, change))
-    return out
 
 
 def _curves(found: Study, best: Tried) -> tuple[Curve, ...]:

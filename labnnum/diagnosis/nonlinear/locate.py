@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
@@ -46,6 +47,8 @@ class Recovered:
     v: tuple[NDArray[np.float64], ...]
     f: tuple[NDArray[np.float64], ...]
     receptance: dict[tuple[int, float, float], Receptance]
+    gain: float = 0.0
+    """What a law of motion and speed there removes of chi-square, see `ranked`."""
 
     @property
     def top(self) -> float:
@@ -55,7 +58,10 @@ class Recovered:
 
 @dataclass(frozen=True, eq=False)
 class Lead:
-    """A law at a spot with the parameters that fit the recovered motion, and what it removes of chi-square."""
+    """A law at a spot with the parameters that fit the recovered motion, and what it removes of chi-square.
+
+    A spring and a dashpot at the spot stand beside it, and what those remove alone is not counted.
+    """
 
     spot: Spot
     mechanism: str
@@ -173,15 +179,14 @@ def recover(
         if orbit is not None:
             known = known + (r.h[:, 1:] * orbit.force).sum(axis=1)
             moved = moved + (r.g[0, 1:] * orbit.force).sum(axis=0)
-        force, share = _one(run, r, run.y - r.lift * known)
+        force, share = _one(run, r, run.seen(run.y - r.lift * known))
         explained += share[0]
         total += share[1]
-        z = np.where(run.inside, moved + r.g[0, 0] * force, 0.0)
-        full = np.zeros((3, run.period * FINE // 2 + 1), complex)
+        z = np.where(run.inside, run.seen(moved) + r.g[0, 0] * force, 0.0)
+        n = run.period * FINE
+        full = np.zeros((3, n // 2 + 1), complex)
         full[:, : z.size] = z, r.s * z, force
-        time = np.fft.irfft(full * (run.period * FINE / 2), axis=1)
-        if run.decay:
-            time = time * np.exp(run.decay * np.arange(run.period * FINE) / (run.rate * FINE))
+        time = np.fft.irfft(full * (n / 2), axis=1) * _unseen(run, n)
         forces.append(force)
         zs.append(time[0])
         vs.append(time[1])
@@ -189,6 +194,23 @@ def recover(
     return Recovered(
         spot, explained / total if total > 0 else 0.0, tuple(forces), tuple(zs), tuple(vs), tuple(fs), made
     )
+
+
+ENDS = 0.1
+"""Height of a window below which what it hides is not brought back."""
+
+
+def _window(run: Run, n: int) -> NDArray[np.float64]:
+    """What the run's spectra are seen through, at n samples over its period."""
+    if run.decay:
+        return np.exp(-run.decay * np.arange(n) * run.period / (n * run.rate))
+    return np.sin(np.pi * np.arange(n) / n) ** 2 if run.open else np.ones(n)
+
+
+def _unseen(run: Run, n: int) -> NDArray[np.float64]:
+    """What takes the window off again, zero where there is too little of it."""
+    window = _window(run, n)
+    return 1.0 / window if run.decay else np.where(window < ENDS, 0.0, 1.0 / np.maximum(window, ENDS))
 
 
 def _one(run: Run, r: Receptance, left: NDArray) -> tuple[NDArray[np.complex128], tuple[float, float]]:
@@ -201,7 +223,7 @@ def _one(run: Run, r: Receptance, left: NDArray) -> tuple[NDArray[np.complex128]
     if not np.isfinite(noise).all():
         noise = np.full(size.shape, (1e-3 * np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))) ** 2)
     if not run.lasting:
-        size = np.sqrt(uniform_filter1d(size**2, 15, axis=1))
+        size = np.sqrt(uniform_filter1d(np.abs(run.seen(run.y)) ** 2, 15, axis=1))
     local = uniform_filter1d(np.where(quiet, np.abs(left) ** 2, 0.0), 15, axis=1)
     local /= np.maximum(uniform_filter1d(quiet.astype(float), 15), 1e-9)
     variance = noise + (0.03**2) * local + np.where(run.excited, (0.01 * size) ** 2, 0.0)
@@ -230,21 +252,17 @@ def law_column(joint: Joint, found: Recovered, mechanism: str, p: NDArray, sign:
 
 
 def spectra_of(joint: Joint, series: Sequence[NDArray]) -> list[NDArray[np.complex128]]:
-    """Spectra of a series in time for each run, (n,) on as many samples as the recovered motion has."""
-    out = []
-    for run, x in zip(joint.runs, series, strict=True):
-        if run.decay:
-            x = x * np.exp(-run.decay * np.arange(x.size) * run.period / (x.size * run.rate))
-        out.append(np.fft.rfft(x) * (2 / x.size))
-    return out
+    """Spectra of a series in time for each run, (n,) on as many samples as the recovered motion has, as seen."""
+    pairs = zip(joint.runs, series, strict=True)
+    return [rfft((x * _window(run, x.size)).astype(np.float32)) * np.float32(2 / x.size) for run, x in pairs]
 
 
 def _through(joint: Joint, found: Recovered, spectra: Sequence[NDArray]) -> NDArray[np.float64]:
     out = []
     for run, lines, phi in zip(joint.runs, joint.lines, spectra, strict=True):
         r = found.receptance[run.key]
-        at = lines.need
-        out.append(joint._real(lines.seen(-r.lift[:, at] * r.h[:, 0, at] * phi[at])))
+        at = lines.at
+        out.append(joint._real(-r.lift[:, at] * r.h[:, 0, at] * phi[at] / lines.sigma))
     return np.concatenate(out, axis=-1)
 
 
@@ -252,45 +270,62 @@ MOST_GENERAL = 3
 """Terms of the general law that are kept."""
 
 
+class _General:
+    """Products of the general law's columns at a spot, a spring and a dashpot first."""
+
+    def __init__(self, background: Background, found: Recovered, dry: bool) -> None:
+        z_top, v_top = found.top, float(max(np.max(np.abs(v)) for v in found.v))
+        self.scale = np.maximum(np.abs(general_basis(np.array([z_top]), np.array([v_top])))[:, 0], 1e-300)
+        bases = [general_basis(z, v) / self.scale[:, None] for z, v in zip(found.z, found.v, strict=True)]
+        if dry:
+            bases = [np.vstack([g, np.sign(v)]) for g, v in zip(bases, found.v, strict=True)]
+        self.n = bases[0].shape[0]
+        columns = companion_columns(background, found)
+        for i in range(self.n):
+            columns.append(_through(background.joint, found, spectra_of(background.joint, [g[i] for g in bases])))
+        self.gram, self.along = background.moments(np.array(columns))
+
+    def scored(self, used: list[int]) -> tuple[NDArray, float]:
+        """Sizes of the columns `used` and what they remove."""
+        at = np.ix_(used, used)
+        d = np.sqrt(np.maximum(np.diag(self.gram)[used], 1e-300))
+        size = np.linalg.pinv(self.gram[at] / np.outer(d, d), rcond=1e-10) @ (self.along[used] / d) / d
+        return size, float(size @ self.along[used])
+
+    def best(self, least: float, objective: float) -> tuple[list[int], NDArray, float]:
+        """Terms one by one while each removes `least` of what the others leave of `objective`, and 20."""
+        chosen: list[int] = []
+        size, gain = np.zeros(0), self.scored([0, 1])[1]
+        while len(chosen) < MOST_GENERAL:
+            trials = [i for i in range(self.n) if i not in chosen]
+            each = [self.scored([0, 1, *(j + 2 for j in [*chosen, i])]) for i in trials]
+            best = int(np.argmax([g for _, g in each]))
+            if each[best][1] - gain < max(least * (objective - gain), 20.0 * (least > 0)):
+                break
+            chosen.append(trials[best])
+            size, gain = each[best]
+            size = size[2:]
+        return chosen, size, gain - self.scored([0, 1])[1]
+
+
+def ranked(background: Background, found: Sequence[Recovered]) -> list[Recovered]:
+    """Spots by what the general law, dry friction among its terms, removes there; the best first."""
+    out = [replace(q, gain=_General(background, q, True).best(0.0, background.objective)[2]) for q in found]
+    return sorted(out, key=lambda q: -q.gain)
+
+
 def general_lead(background: Background, found: Recovered) -> Lead:
     """The general law along the recovered motion: its terms one by one while each removes a tenth of what is left."""
-    z_top, v_top = found.top, float(max(np.max(np.abs(v)) for v in found.v))
-    scale = np.maximum(np.abs(general_basis(np.array([z_top]), np.array([v_top])))[:, 0], 1e-300)
-    bases = [general_basis(z, v) / scale[:, None] for z, v in zip(found.z, found.v, strict=True)]
-    columns = []
-    for i in range(N_P):
-        spectra = spectra_of(background.joint, [g[i] for g in bases])
-        columns.append(_through(background.joint, found, spectra))
-    columns = [*companion_columns(background, found), *columns]
-    gram, along = background.moments(np.array(columns))
-
-    def scored(used: list[int]) -> tuple[NDArray, float]:
-        at = np.ix_(used, used)
-        d = np.sqrt(np.maximum(np.diag(gram)[used], 1e-300))
-        size = np.linalg.pinv(gram[at] / np.outer(d, d), rcond=1e-10) @ (along[used] / d) / d
-        return size, float(size @ along[used])
-
-    chosen: list[int] = []
-    size, gain = np.zeros(0), scored([0, 1])[1]
-    while len(chosen) < MOST_GENERAL:
-        trials = [i for i in range(N_P) if i not in chosen]
-        each = [scored([0, 1, *(j + 2 for j in [*chosen, i])]) for i in trials]
-        best = int(np.argmax([g for _, g in each]))
-        if each[best][1] - gain < max(0.1 * (background.objective - gain), 20.0):
-            break
-        chosen.append(trials[best])
-        size, gain = each[best]
-        size = size[2:]
+    made = _General(background, found, False)
+    chosen, size, gain = made.best(0.1, background.objective)
     p = np.zeros(N_P)
-    p[chosen] = size / scale[chosen]
+    p[chosen] = size / made.scale[chosen]
     return Lead(found.spot, "general", p, gain if chosen else 0.0)
 
 
 def companion_columns(background: Background, found: Recovered) -> list[NDArray[np.float64]]:
     """Spring and dashpot at the spot, which the base model may have wrong."""
-    return [
-        _through(background.joint, found, spectra_of(background.joint, rows)) for rows in (found.z, found.v)
-    ]
+    return [_through(background.joint, found, spectra_of(background.joint, rows)) for rows in (found.z, found.v)]
 
 
 def companions(background: Background, found: Recovered) -> Beside:
@@ -317,6 +352,7 @@ def law_leads(background: Background, found: Recovered, mechanisms: Sequence[str
                 spot = found.spot
                 if side < 0:
                     spot = Spot(spot.place, "-" + spot.axis, spot.column)
+                gain -= beside.gain
                 if best is None or gain > best.gain:
                     best = Lead(spot, mechanism, value, gain)
         if best is not None:
@@ -330,8 +366,8 @@ def law_leads(background: Background, found: Recovered, mechanisms: Sequence[str
 
 
 def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
-    """Every translation of every free node against the ground, and of one node against its neighbour."""
-    from labnnum.mechanisms.base import TRANSLATIONS
+    """Every translation of every free node against the ground, every motion of one node against its neighbour."""
+    from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS
     from labnnum.mechanisms.nonlinear_law import between
 
     out = []
@@ -345,7 +381,7 @@ def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
             continue
         if b in site.supports and not site.rows(b, TRANSLATIONS).size:
             continue
-        for axis in TRANSLATIONS:
+        for axis in (*TRANSLATIONS, *ROTATIONS):
             column = between(site, a, b, axis)
             if column is not None and np.abs(column[:, 0] @ site.shape).max() > 0:
                 out.append(Spot(Place("joint", a, b), axis, column[:, 0]))

@@ -10,7 +10,8 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
-from labnnum.diagnosis.nonlinear.answer import UNCONFIRMED, NonlinearAnswer, answer
+from labnnum.diagnosis.nonlinear.answer import KNOWN, UNCONFIRMED, NonlinearAnswer, answer
+from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
@@ -49,12 +50,12 @@ def own_scatter(error: float) -> Scatter:
 def nonlinear_first(
     engine: Engine, gate: Gate, observations: Sequence[Observation], held_out: Sequence[Observation], places: Places,
     scatter: Scatter, limits: Limits, span: tuple[float, float] | None,
-    again: Callable[[Sequence[Observation], Sequence[Observation]], Diagnosis], progress: Callable[[str], None],
+    again: Callable[..., Diagnosis], progress: Callable[[str], None], known: Sequence[Lead] = (),
 ) -> Diagnosis | None:  # fmt: skip
     """The whole diagnosis where the runs show nonlinear physics, else None.
 
-    The linear search (`again`) runs on FRFs from which the law's share is taken. Where it names a fault of a channel,
-    that is taken off the spectra and the law is sought once more.
+    `known` laws are those that the model holds. The linear search (`again`) runs on FRFs from which the law's share is
+    taken. Where it names a fault of a channel, that is taken off the spectra and the law is sought once more.
     """
     from labnnum.diagnosis.diagnose import _kept_back, _nonlinear
 
@@ -70,16 +71,17 @@ def nonlinear_first(
         miss = max(engine.structure.error, LEAST)
         train, test = ([_missing(o, miss) for o in part] for part in (train, test))
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
-    found = answer(engine, train, test, places, scatter, limits, band, progress, usable, nearly)
+    found = answer(engine, train, test, places, scatter, limits, band, progress, usable, known, nearly)
     if found is None or found.reason == UNCONFIRMED:
         return None
     progress("searching for linear physics beside it")
-    rest = again(found.linearised, found.linearised_held_out)
+    explained = (bool(found.named) or found.reason == KNOWN) and found.misfit < EXPLAINED
+    rest = again(found.linearised, found.linearised_held_out, **({"catalogue": ()} if explained else {}))
     periodic = all(o.run is not None for o in train)
     if periodic and found.misfit > 1.5 and any(n.place.kind == "channel" for n in rest.named):
         train = [_mended(o, rest.named) for o in train]
         test = [_mended(o, rest.named) for o in test]
-        second = answer(engine, train, test, places, scatter, limits, band, progress, (), nearly)
+        second = answer(engine, train, test, places, scatter, limits, band, progress, (), (), nearly)
         if second is not None and second.misfit < found.misfit:
             found = second
     signs = _nonlinear(observations)
@@ -91,6 +93,10 @@ def _missing(o: Observation, error: float) -> Observation:
     return o if o.run is None else replace(o, run=replace(o.run, miss=error))
 
 
+EXPLAINED = 1.2
+"""Chi-square per value below which a law and the ordinary errors leave nothing for the linear search."""
+
+
 def merged(
     found: NonlinearAnswer, rest: Diagnosis, gated: Sequence[Named], signs: dict, observations: Sequence[Observation]
 ) -> Diagnosis:
@@ -100,9 +106,11 @@ def merged(
     if not found.named and rest.verdict == "measurement-fault":
         named = (*gated, *rest.named)
     verdict = "missing-physics" if found.named else "unexplained"
+    if found.reason == KNOWN:
+        verdict, named, beside = rest.verdict, (*gated, *rest.named), rest.named
     if gated:
         verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
-    place = named[0].place if gated or found.named else found.place
+    place = named[0].place if gated or found.named else rest.place if found.reason == KNOWN else found.place
     detail = {**rest.detail, "nonlinear": found, "reason": found.reason}
     nonlinear = {**signs, "levels": [float(o.level) for o in observations]}
     shown = replace(

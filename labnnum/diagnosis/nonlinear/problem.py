@@ -359,7 +359,7 @@ def fit(
     `exact` slopes are marched where the base model's vector is short (`EXACT`), or `always`: standard deviations need
     them.
     """
-    joint.exact = exact and (joint.n_base <= EXACT or always)
+    joint.exact = always or (exact and joint.n_base <= EXACT)
     scale, low, high = joint.scale, joint.low, joint.high
     x = np.clip(x, low, high)
     orbits = joint.settle(x, orbits, 6)

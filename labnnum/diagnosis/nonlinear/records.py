@@ -19,11 +19,15 @@ if TYPE_CHECKING:
 
 STRETCH = 16384
 """Samples of noise that are compared at most; as many others are held out."""
+FORGOTTEN = 40.0
+"""Decay times of the slowest mode, by the nominal damping, that a stretch of noise should last."""
 SILENT = 1e-4
 """Power of the input, of its largest, below which a line counts as not excited."""
+FAINT = 1e-2
+"""The same of a hit, whose spectrum falls off slowly: what drives little above is simulated, not compared."""
 SAME = 0.02
 """Power of one half of a record, of that of the other, below which a line was left out: the record sweeps."""
-HITS = 2
+HITS = 1
 """Hits of a level that are fitted, at most."""
 
 
@@ -36,15 +40,21 @@ class Split:
     whole: tuple[Observation, ...]
 
 
-def split(observations: Sequence[Observation]) -> Split:
-    """Hits of every level but the last of each, stretches of noise, or three of four stretches of lines of a sweep."""
+def split(observations: Sequence[Observation], decay_time: float) -> Split:
+    """Hits of every level but the last of each, stretches of noise, or three of four stretches of lines of a sweep.
+
+    Parameters
+    ----------
+    decay_time : float
+        Of the slowest mode in the band, s.
+    """
     train: list[Observation] = []
     test: list[Observation] = []
     whole: list[Observation] = []
     for o in observations:
         if not o.recordings:
             continue
-        own, held = _hits(o) if o.kind == "hammer" else _stretches(o)
+        own, held = _hits(o) if o.kind == "hammer" else _stretches(o, decay_time)
         train += [replace(o, run=r, level=r.level) for r in own]
         test += [replace(o, run=r, level=r.level) for r in held]
         whole.append(o)
@@ -78,7 +88,7 @@ def hits_of(o: Observation) -> list[Run]:
 # -------------------------------------------------------------------- noise and sweeps
 
 
-def _stretches(o: Observation) -> tuple[list[Run], list[Run]]:
+def _stretches(o: Observation, decay_time: float) -> tuple[list[Run], list[Run]]:
     recording = o.recordings[0]
     a, b = max(recording.spans(), key=lambda span: span[1] - span[0])
     half = (b - a) // 2
@@ -89,7 +99,7 @@ def _stretches(o: Observation) -> tuple[list[Run], list[Run]]:
         block = max(lines.size // 60, 1)
         back[lines] = (np.arange(lines.size) // block) % 4 == 2
         return [replace(whole, use=~back)], [replace(whole, use=back)]
-    n = min(STRETCH, half)
+    n = min(STRETCH, half, int(FORGOTTEN * decay_time * recording.rate))
     return [stretch_of(recording, a + half - n, a + half)], [stretch_of(recording, a + half, a + half + n)]
 
 
@@ -131,9 +141,10 @@ def _made(recording: Recording, spectra: NDArray, n: int, decay: float, ends: bo
     wide = max(u.size // 400, 5)
     power = uniform_filter1d(np.abs(run.seen(u)) ** 2, wide, mode="nearest")
     at = np.flatnonzero(power > SILENT * power.max())
+    driven = np.flatnonzero(power > (FAINT if decay else SILENT) * power.max())
     on = np.zeros(u.size, bool)
-    on[max(int(at[0]), 1) : int(at[-1]) + 1] = True
-    u[on.size - 1 if on[-1] else int(at[-1]) + 1 :] = 0.0
+    on[max(int(driven[0]), 1) : int(driven[-1]) + 1] = True
+    u[int(at[-1]) + 1 :] = 0.0
     if ends:
         u[: int(at[0])] = 0.0  # noise alone, which a free structure would take far
     seen = run.seen(y)
@@ -154,10 +165,8 @@ def _floor(spectra: NDArray) -> NDArray[np.float64]:
 
 # -------------------------------------------------------------------- signs
 
-CHANGE = 0.02
-"""Change of an FRF from level to level, relative, below which it is not looked into."""
-SURE = 3.0
-"""And its power, of what noise and leakage leave."""
+SURE = 1.4
+"""Mean power of an FRF's change from level to level, of what noise and leakage leave; sound structures show about 1."""
 
 
 def changed(observations: Sequence[Observation]) -> bool:
@@ -171,12 +180,44 @@ def changed(observations: Sequence[Observation]) -> bool:
 
 
 def _differ(low: Observation, high: Observation) -> bool:
-    a, b = low.frf, high.frf
-    _, i, j = np.intersect1d(np.round(a.frequency, 6), np.round(b.frequency, 6), return_indices=True)
-    if i.size < 8 or a.variance is None or b.variance is None or a.value.shape[:2] != b.value.shape[:2]:
+    one, other = (_frf(o) for o in (low, high))
+    _, i, j = np.intersect1d(np.round(one[0], 6), np.round(other[0], 6), return_indices=True)
+    if i.size < 8 or one[1].shape[0] != other[1].shape[0]:
         return False
-    power = np.sum(np.abs(a.value[..., i] - b.value[..., j]) ** 2, axis=2)
-    expected = np.sum(a.variance[..., i] + b.variance[..., j], axis=2)
-    size = np.sqrt(np.maximum(power - expected, 0) / np.sum(np.abs(a.value[..., i]) ** 2, axis=2))
-    sure = (size > CHANGE) & (power > SURE * expected)
+    a, b = one[1][:, i], other[1][:, j]
+    ratio = np.abs(a - b) ** 2 / np.maximum(one[2][:, i] + other[2][:, j], 1e-300)
+    sure = np.mean(ratio, axis=1) > SURE
     return bool(sure.sum() >= min(2, sure.size))
+
+
+BIN = 16
+"""Lines over which an FRF is taken as a parabola."""
+
+
+def _frf(o: Observation) -> tuple[NDArray, NDArray, NDArray]:
+    """Frequencies, FRFs (n_out, n) and their variance: of hits as observed, of a record by local parabolas.
+
+    A parabola over `BIN` lines of the whole record needs no averages, which a sweep does not have: each of its
+    stretches holds a part of the band.
+    """
+    if o.kind == "hammer":
+        assert o.frf.variance is not None
+        return o.frf.frequency, o.frf.value[:, 0], o.frf.variance[:, 0]
+    run = stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)
+    first, last = np.flatnonzero(run.excited)[[0, -1]]
+    first += -first % BIN
+    n = (last - first + 1) // BIN
+    at = slice(first, first + n * BIN)
+    u, y = run.seen(run.u)[at].reshape(n, BIN), run.seen(run.y)[:, at].reshape(-1, n, BIN)
+    grid = np.linspace(-1.0, 1.0, BIN)
+    columns = u[:, :, None] * np.stack([np.ones(BIN), grid, grid**2], axis=1)
+    inverse = np.linalg.pinv(columns)
+    size = inverse @ np.moveaxis(y, 0, 2)
+    left = np.moveaxis(y, 0, 2) - columns @ size
+    spread = WINDOWED * np.sum(np.abs(left) ** 2, axis=1) / (BIN - 3)
+    variance = spread * np.sum(np.abs(inverse[:, 0]) ** 2, axis=1)[:, None]
+    return run.frequency[at].reshape(n, BIN).mean(axis=1), size[:, 0].T, variance.T
+
+
+WINDOWED = 2.0
+"""How much more neighbours under a Hann window scatter together than apart."""

@@ -22,8 +22,8 @@ from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.errors import EstimationError
 
-PASSES = 5
-"""Marches over a run that does not close, at most: each takes the correction of the one before."""
+PASSES = (4, 2)
+"""Marches over a run that does not close, at most, from nothing and from a neighbour: each corrects the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,7 @@ class Steady:
         made = self.prepare(r)
         m = made.w.shape[1]
         rest = np.zeros((2, m)), np.zeros(self.k), np.zeros((self.k, 2))
-        for _ in range(PASSES):
+        for _ in range(PASSES[int(np.isfinite(orbit.closing))]):
             if self.run.decay:
                 orbit = replace(orbit, x=rest[0], f=rest[1], memory=rest[2])
             one = self._march(made, self.source(r, made, orbit.force), p, orbit)

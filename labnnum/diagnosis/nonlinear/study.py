@@ -18,6 +18,7 @@ from labnnum.diagnosis.nonlinear.locate import (
     Spot,
     general_lead,
     law_leads,
+    ranked,
     recover,
 )  # fmt: skip
 from labnnum.diagnosis.nonlinear.march import N_P
@@ -81,6 +82,11 @@ ROUGH = 4
 ENOUGH = 1.15
 """Chi-square per value at which a law leaves nothing for a general one to explain."""
 
+POOR = 1.3
+"""Chi-square per value above which other laws and places are tried."""
+NEAREST = 5
+"""Spots whose recovered motion is asked for every law."""
+
 SPRINGY = ("stick-slip", "coulomb-friction")
 """Laws that are a spring, or a lock, where the motion is small."""
 
@@ -120,15 +126,9 @@ def search(
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
     background = Background(plain, calm.x[: plain.n_base])
     progress("locating")
-    found = sorted((recover(plain, calm.x, point, s) for s in spots), key=lambda q: -q.share)
-    few = len(runs[0].outputs) < 3
-    n_first = len(found) if few else 10
-    general = sorted((general_lead(background, q) for q in found[:n_first]), key=lambda lead: -lead.gain)
-    by_spot = {id(q.spot): q for q in found}
-    near = [by_spot[id(lead.spot)] for lead in general[:4]]
-    near += [q for q in found[:2] if q not in near]
+    found = ranked(background, [recover(plain, calm.x, point, s) for s in spots])
     leads: list[Lead] = []
-    for q in near:
+    for q in found[:NEAREST]:
         leads += law_leads(background, q, LAWS)
     leads.sort(key=lambda lead: -lead.gain)
     if not leads:
@@ -139,8 +139,28 @@ def search(
         return None
     best = tried[0].made
     plain_enough = best.data_part < ENOUGH * best.count
-    law = None if plain_enough else _general(engine, point, runs, scatter, chosen, tried[0].made, general, tried)
+    law = None
+    if not plain_enough:
+        general = sorted((general_lead(background, q) for q in found[:NEAREST]), key=lambda lead: -lead.gain)
+        law = _general(engine, point, runs, scatter, chosen, tried[0].made, general, tried)
     return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found), tuple(held))
+
+
+def of_known(
+    engine: Engine, point: Point, runs: Sequence[Run], quiet: int, known: Sequence[Lead], scatter: Scatter,
+    lines: int = 250,
+) -> Study | None:  # fmt: skip
+    """The laws that a model holds already, fitted with the base; None where they do not settle."""
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
+    plain = Joint(engine, point, runs, (), scatter, chosen)
+    base = fit(plain, plain.start(), [None] * len(runs), steps=12)
+    joint = Joint(engine, point, runs, [lead.acting() for lead in known], scatter, chosen)
+    try:
+        made = fit(joint, joint.start(), [None] * len(runs), steps=8, exact=False)
+    except (EstimationError, np.linalg.LinAlgError):
+        return None
+    tried = Tried(known[0], made, cost(made, known[0].mechanism))
+    return Study(engine, point, tuple(runs), base, base, (tried,), None, (), joint.terms)
 
 
 def _fit_one(
@@ -149,19 +169,17 @@ def _fit_one(
     joint = Joint(engine, point, runs, [lead.acting()], scatter, chosen)
     best: Made | None = None
     starts = [x]
-    if lead.mechanism in SPRINGY or steps == ROUGH:  # what the base took for its own may be the law's
+    if lead.mechanism in SPRINGY:  # what the base took for its own may be the law's
         fresh = x.copy()
         n, m = engine.theta0.size, engine.band_modes.size
         fresh[:n], fresh[n : n + m] = engine.theta0, 0.0
         fresh[n + 2 * m : n + 3 * m] = 0.0
-        if steps == ROUGH:
-            fresh[n + m : n + 2 * m] = np.log(engine.zeta0[engine.band_modes])
         starts.append(fresh)
     if lead.mechanism == "stick-slip" and joint.n_base == x.size + engine.band_modes.size:
         starts.append(softened(joint, x, lead))
     for start in starts:
         try:
-            made = fit(joint, joint.start(start), [None] * len(runs), steps=steps, exact=steps > 6)
+            made = fit(joint, joint.start(start), [None] * len(runs), steps=steps, exact=False)
         except (EstimationError, np.linalg.LinAlgError):
             continue
         if best is None or made.objective < best.objective:
@@ -188,8 +206,9 @@ def _carry_on(
     always: bool = False,
 ) -> Tried:  # fmt: skip
     joint = Joint(engine, point, runs, tried.made.terms, scatter, chosen)
+    orbits = tried.made.orbits if len(tried.made.orbits) == len(runs) else [None] * len(runs)
     try:
-        made = fit(joint, tried.made.x, tried.made.orbits, steps=steps, always=always)
+        made = fit(joint, tried.made.x, orbits, steps=steps, exact=False, always=always)
     except (EstimationError, np.linalg.LinAlgError):
         return tried
     return Tried(tried.lead, made, cost(made, tried.mechanism))
@@ -204,64 +223,91 @@ def _onto(t: Tried, engine: Engine, point: Point, runs: Sequence[Run], scatter: 
     return _fit_one(engine, point, runs, scatter, chosen, t.made.x[: t.made.n_base], lead, 1)
 
 
-def _shortlist(leads: Sequence[Lead], most: int) -> list[Lead]:
-    """The best of each mechanism, the best of each spot, in the order of their gains; one of each pair."""
+def _shortlist(leads: Sequence[Lead], part: float, most: int) -> list[Lead]:
+    """Leads with at least `part` of the best one's gain: each law at its best spot, each spot with its best law."""
     out: list[Lead] = []
-    seen_m: dict[str, int] = {}
-    seen_s: dict[tuple, int] = {}
+    laws: set[str] = set()
+    places: set[tuple] = set()
     for lead in leads:
-        if lead.mechanism == "hysteresis" or lead.gain < 0.1 * leads[0].gain:
+        if lead.mechanism == "hysteresis" or lead.gain < part * leads[0].gain or len(out) == most:
             continue
-        m, s = seen_m.get(lead.mechanism, 0), seen_s.get((lead.spot.place, lead.spot.axis), 0)
-        if m >= 2 and s >= 1:
+        here = (lead.spot.place, lead.spot.axis.lstrip("-"))
+        if lead.mechanism in laws and here in places:
             continue
-        seen_m[lead.mechanism], seen_s[(lead.spot.place, lead.spot.axis)] = m + 1, s + 1
+        laws.add(lead.mechanism)
+        places.add(here)
         out.append(lead)
-        if len(out) == most:
-            break
     return out
 
 
+CLOSE = 0.85
+"""Part of the best lead's gain above which another may turn out better when it is fitted,"""
+FAR = 0.3
+"""and where the best leaves much unexplained."""
+
+
 def _fits(
-    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, calm: Made, leads: Sequence[Lead],
-    first: int = 6, second: int = 2,
-) -> list[Tried]:  # fmt: skip
+    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, calm: Made, leads: Sequence[Lead]
+) -> list[Tried]:
+    """Leads fitted, best first: roughly to the lowest and the highest run, then the best to all."""
     ends = sorted({0, len(runs) - 1})
     two, thin = [runs[i] for i in ends], [chosen[i] for i in ends]
-    rough = [_fit_one(engine, point, two, scatter, thin, calm.x, lead, ROUGH) for lead in _shortlist(leads, first)]
-    rough = sorted((t for t in rough if t is not None), key=lambda t: t.cost)
-    tried = [_onto(t, engine, point, runs, scatter, chosen) for t in rough[:4]]
-    tried = sorted((t for t in tried if t is not None), key=lambda t: t.cost)
+
+    def rough(some: Sequence[Lead]) -> list[Tried]:
+        made = [_fit_one(engine, point, two, scatter, thin, calm.x, lead, ROUGH) for lead in some]
+        return sorted((t for t in made if t is not None), key=lambda t: t.cost)
+
+    first = _shortlist(leads, CLOSE, 4)
+    tried = rough(first)
+    if not tried or tried[0].made.data_part > POOR * tried[0].made.count:
+        more = [lead for lead in _shortlist(leads, FAR, 8) if not any(lead is known for known in first)]
+        tried = sorted([*tried, *rough(more)], key=lambda t: t.cost)
     if not tried:
         return []
-    close = [t for t in tried[:second] if t.cost < 3 * tried[0].cost]
-    done = [_carry_on(engine, point, runs, scatter, chosen, t, 10) for t in close]
-    done = sorted([*done, *tried[len(close) :]], key=lambda t: t.cost)
-    # the best place with every law that its motion allows, and hysteresis beside stick-slip
-    best = done[0]
-    have = {t.mechanism for t in done if t.spot.place == best.spot.place}
-    more = [
-        lead for lead in leads
-        if lead.spot.place == best.spot.place and lead.mechanism not in have and lead.mechanism != "hysteresis"
-    ]  # fmt: skip
-    poor = best.made.data_part > 2.0 * best.made.count
-    more = [lead for lead in more if lead.gain > 0.2 * leads[0].gain or (poor and lead.mechanism in SPRINGY)]
-    for lead in more[:4]:
-        one = _fit_one(engine, point, runs, scatter, chosen, best.made.x[: engine_size(best.made)], lead, 5)
-        if one is not None:
-            done.append(one)
-    slip = next((t for t in sorted(done, key=lambda t: t.cost) if t.mechanism == "stick-slip"), None)
-    if slip is not None and slip.spot.place == best.spot.place:
-        p, _ = slip.made.law(0)
-        start = np.zeros(N_P)
-        start[:4] = p[0], p[1] / p[0], 2.0, 0.5
-        lead = Lead(slip.spot, "hysteresis", start, slip.lead.gain)
-        one = _fit_one(engine, point, runs, scatter, chosen, slip.made.x[: engine_size(slip.made)], lead, 14)
-        if one is not None:
-            done.append(one)
+    best = _best_on_all(engine, point, runs, scatter, chosen, tried)
+    if best is None:
+        return []
+    done = [best, *_at_its_place(engine, point, runs, scatter, chosen, best, leads)]
+    ratio = best.made.count / tried[0].made.count
+    known = {(t.mechanism, t.spot.place, t.spot.axis) for t in done}
+    rest = [replace(t, cost=t.cost * ratio) for t in tried if (t.mechanism, t.spot.place, t.spot.axis) not in known]
     done.sort(key=lambda t: t.cost)
     front = [_carry_on(engine, point, runs, scatter, chosen, t, 8) if not t.made.converged else t for t in done[:2]]
-    return sorted([*front, *done[2:]], key=lambda t: t.cost)
+    return sorted([*front, *done[2:], *rest], key=lambda t: t.cost)
+
+
+def _best_on_all(
+    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, tried: Sequence[Tried]
+) -> Tried | None:
+    """The best of rough fits on all runs: the second too where it is near."""
+    near = [t for t in tried[:2] if t.cost < 1.5 * tried[0].cost]
+    onto = [_onto(t, engine, point, runs, scatter, chosen) for t in near]
+    done = [_carry_on(engine, point, runs, scatter, chosen, t, 8) for t in onto if t is not None]
+    return min(done, key=lambda t: t.cost) if done else None
+
+
+def _at_its_place(
+    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, best: Tried, leads: Sequence[Lead]
+) -> list[Tried]:  # fmt: skip
+    """The best place with other laws that its motion asks for, and hysteresis beside stick-slip."""
+    poor = best.made.data_part > POOR * best.made.count
+    here = [lead for lead in leads if lead.spot.place == best.spot.place and lead.mechanism != "hysteresis"]
+    own = max((lead.gain for lead in here), default=0.0)
+    part = FAR if poor else CLOSE
+    more = [
+        lead for lead in here
+        if lead.mechanism != best.mechanism and (lead.gain > part * own or (poor and lead.mechanism in SPRINGY))
+    ]  # fmt: skip
+    base = best.made.x[: best.made.n_base]
+    out = [_fit_one(engine, point, runs, scatter, chosen, base, lead, 5) for lead in more[:4]]
+    slips = [t for t in (best, *out) if t is not None and t.mechanism == "stick-slip"]
+    if slips and (poor or slips[0] is best):
+        p, _ = slips[0].made.law(0)
+        start = np.zeros(N_P)
+        start[:4] = p[0], p[1] / p[0], 2.0, 0.5
+        lead = Lead(slips[0].spot, "hysteresis", start, slips[0].lead.gain)
+        out.append(_fit_one(engine, point, runs, scatter, chosen, slips[0].made.x[: best.made.n_base], lead, 12))
+    return [t for t in out if t is not None]
 
 
 def engine_size(made: Made) -> int:
@@ -295,7 +341,7 @@ def at_places(
     for s in spots[:most]:
         lead = replace(tried.lead, spot=s, p=full)
         one = _fit_one(
-            study.engine, study.point, study.runs, scatter, chosen, tried.made.x[: tried.made.n_base], lead, 5
+            study.engine, study.point, study.runs, scatter, chosen, tried.made.x[: tried.made.n_base], lead, 3
         )
         if one is not None:
             out.append(one)
@@ -307,7 +353,9 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
 
     Costs of the others are raised by what the best's own rose with the lines: they stay comparable.
     """
-    everyone = sorted([*study.tried, *more], key=lambda t: t.cost)
+    everyone = sorted((t for t in [*study.tried, *more] if np.isfinite(t.cost)), key=lambda t: t.cost)
+    if not everyone:
+        return []
     front: list[Tried] = []
     for t in everyone:
         if not any(t.same(o) for o in front):
@@ -315,7 +363,9 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     limit = everyone[0].cost * 3 + 1e3
     chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
     done = [
-        _carry_on(study.engine, study.point, study.runs, scatter, chosen, t, 4) for t in front[:most] if t.cost < limit
+        _carry_on(study.engine, study.point, study.runs, scatter, chosen, t, 4)
+        for t in front[:most]
+        if t is front[0] or t.cost < limit
     ]
     best = min(done, key=lambda t: t.cost)
     sure = _carry_on(study.engine, study.point, study.runs, scatter, chosen, best, 2, always=True)
@@ -350,25 +400,25 @@ def further(
     chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     held = first.made.terms
     joint = Joint(engine, point, runs, held, scatter, chosen)
-    made = fit(joint, first.made.x, first.made.orbits, steps=4)
+    made = fit(joint, first.made.x, first.made.orbits, steps=2, exact=False)
     background = Background(joint, made.x, made.orbits)
     here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
-    found = sorted(
-        (recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)), key=lambda q: -q.share
-    )
+    found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])
     leads: list[Lead] = []
-    for q in found[:3] if general else [*found[:5], *(q for q in found[5:] if q.spot in here)]:
+    for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
         leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
-    leads = sorted((lead for lead in leads if lead.gain > alarm), key=lambda lead: -lead.gain)
+    excess = max(1.0, made.data_part / made.count)
+    least = max(alarm * excess, GAIN * (made.objective - made.count))
+    leads = sorted((lead for lead in leads if lead.gain > least), key=lambda lead: -lead.gain)
     best: Tried | None = None
-    for lead in leads[: 1 if general else 4]:
+    for lead in leads[: 1 if general else 2]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
         m = engine.band_modes.size
         base, laws = made.x[: made.n_base], made.x[made.n_base :]
         x = np.concatenate([base, np.zeros(m), laws, lead.p[: lead.acting().n]])
         start = [_with_one_more(o) for o in made.orbits]
         try:
-            one = fit(more, x, start, steps=8)
+            one = fit(more, x, start, steps=8, exact=False)
         except (EstimationError, np.linalg.LinAlgError):
             continue
         tried = Tried(lead, one, cost(one, lead.mechanism))

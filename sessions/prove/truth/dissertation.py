@@ -118,7 +118,8 @@ def clamp(state: State) -> State:
     dof = mesh.dof("1", 2)
     place = {"kind": "support", "id": "1", "to": None}
     fault = Fault("support-compliance", True, place, 1.0, 0.02, "flexibility over that of the beam, EI/(k L)")
-    fault = replace(fault, parameters={"k_theta": quantity(turn, "N*m/rad"), "compliance": quantity(1 / turn, "SI")})
+    parameters = {"k_theta": quantity(turn, "N*m/rad"), "compliance_turn": quantity(1 / turn, "rad/(N*m)")}
+    fault = replace(fault, parameters=parameters)
     new = replace(mesh, held=mesh.held - {dof}, springs=((dof, -1, turn, 0.02),))
     return found(state, fault, mesh=new)
 

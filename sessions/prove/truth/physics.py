@@ -147,7 +147,7 @@ def support_compliance(rng: Generator, state: State, severity: float) -> State:
     springs = tuple((d, -1, k, 0.02) for d, k in free.items())
     place = {"kind": "support", "id": foot, "to": None}
     fault = Fault("support-compliance", True, place, severity, share, "flexibility over that of the member, EI/(k L)")
-    parameters = {"k_theta": quantity(turn, "N*m/rad"), "compliance": quantity(1 / turn, "rad/(N*m)")}
+    parameters = {"k_theta": quantity(turn, "N*m/rad"), "compliance_turn": quantity(1 / turn, "rad/(N*m)")}
     fault = replace(fault, parameters={**parameters, "k_sideways": quantity(push, "N/m")})
     new = replace(mesh, held=mesh.held - set(free), springs=mesh.springs + springs)
     return found(state, fault, mesh=new)
@@ -180,7 +180,7 @@ def joint_stiffness(rng: Generator, state: State, severity: float) -> State:
     )
     if crack:
         soft = inside_length(state, chosen[0]) / state.mesh.bars[chosen[0]].bending * (1 / factor - 1)
-        parameters = {"compliance": quantity(soft, "rad/(N*m)")}
+        parameters = {"compliance_turn": quantity(soft, "rad/(N*m)")}
     else:
         parameters = {"relative_change": quantity(change, "1")}
     fault = replace(fault, sense="gain" if gain else "loss", parameters=parameters)

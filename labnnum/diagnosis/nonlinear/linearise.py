@@ -1,0 +1,83 @@
+"""FRFs without what a nonlinear law adds to them, so that the linear search sees what remains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.problem import Joint, Made, choose_lines
+from labnnum.diagnosis.nonlinear.records import hits_of, stretch_of
+from labnnum.diagnosis.nonlinear.study import Study
+from labnnum.diagnosis.observe import Observation
+from labnnum.recording import Recording
+
+
+def linearised(
+    found: Study, last: Made, orbits: Sequence[Any], observations: Sequence[Observation], scatter: Scatter
+) -> list[Observation]:
+    """Observations whose FRFs lack what the nonlinear force adds, with what its model may have wrong as variance."""
+    runs = [o.run for o in observations if o.run is not None]
+    none = [choose_lines(r, 2, scatter.floor) for r in runs]
+    joint = Joint(found.engine, found.point, runs, last.terms, scatter, none, whole=True)
+    made = joint.receptances(last.x)
+    out = []
+    for o, run, orbit in zip(observations, joint.runs, orbits, strict=True):
+        r = made[run.key]
+        share = r.lift * (r.h * orbit.force).sum(axis=1)
+        at = np.searchsorted(run.frequency, o.frf.frequency - 1e-9)
+        out.append(_less(o, share[:, at] / run.u[at]))
+    return out
+
+
+def _less(o: Observation, change: NDArray) -> Observation:
+    """The observation with `change` (n_out, n_f) taken off its FRF."""
+    assert o.frf.variance is not None
+    variance = o.frf.variance + (0.02 * np.abs(change))[:, None] ** 2
+    frf = replace(o.frf, value=o.frf.value - change[:, None], variance=variance)
+    return replace(o, frf=frf, distortion={}, run=None, recordings=(), drift=0.0, drift_slope=None)
+
+
+def linearised_records(
+    found: Study, last: Made, whole: Sequence[Observation], scatter: Scatter
+) -> list[Observation]:  # fmt: skip
+    """The same for hits and random data: the share of the simulated responses in each FRF, estimated alike."""
+    from labnnum.estimators import H1
+    from labnnum.spectra import Welch
+
+    out = []
+    for o in whole:
+        runs = hits_of(o) if o.kind == "hammer" else [stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)]
+        none = [choose_lines(r, 2, scatter.floor) for r in runs]
+        joint = Joint(found.engine, found.point, runs, last.terms, scatter, none, whole=True)
+        made = joint.receptances(last.x)
+        orbits = joint.settle(last.x, [None] * len(runs), 12)
+        shares = []
+        for run, orbit in zip(runs, orbits, strict=True):
+            assert orbit is not None
+            r = made[run.key]
+            shares.append(r.lift * (r.h * orbit.force).sum(axis=1))
+        if o.kind == "hammer":
+            n = min(r.u.size for r in runs)
+            top, power = np.zeros((len(runs[0].outputs), n), complex), np.zeros(n)
+            for part, run in zip(shares, runs, strict=True):
+                top += part[:, :n] * np.conj(run.u[:n])
+                power += np.abs(run.u[:n]) ** 2
+            at = np.minimum(np.searchsorted(runs[0].frequency, o.frf.frequency - 1e-9), n - 1)
+            change = top[:, at] / np.maximum(power[at], 1e-300)
+        else:
+            recording, run = o.recordings[0], runs[0]
+            n = run.period
+            time = np.fft.irfft(shares[0] * (n / 2), n, axis=1)
+            data = np.vstack([np.fft.irfft(run.u * (n / 2), n)[None], time])
+            channels = (recording.channels[recording.inputs[0]], *run.outputs)
+            simulated = Recording(channels, data, run.rate, label=o.label)
+            frf = H1(Welch(int(o.frf.settings["n_segment"]), window="hann", overlap=0.5))(simulated)
+            at = np.minimum(np.searchsorted(frf.frequency, o.frf.frequency - 1e-9), frf.frequency.size - 1)
+            change = frf.value[:, 0, at]
+        out.append(_less(o, change))
+    return out

@@ -1,0 +1,103 @@
+"""Interrupted plans: lost devices, another day, the same bits as without an interruption."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labnnum.errors import ConfigError, DeviceLostError
+from sessions import bench
+from sessions.bench import measure
+from sessions.display import Quiet
+from sessions.items import items
+from sessions.store import open_session
+
+from .rigs import HAMMER, hammer_rig, replay_of, rig_of, shaker_rig
+
+
+def test_a_lost_device_leaves_what_was_recorded_and_the_plan_goes_on(tmp_path, monkeypatch):
+    rig = hammer_rig(tmp_path)
+    broken = replace(rig, toml=rig.toml.model_copy(update={"simulated": _vanishing(rig)}))
+    with pytest.raises(DeviceLostError, match="unplugged"):
+        measure(broken, tmp_path / "out.h5")
+    with open_session(tmp_path / "out.h5") as session:
+        assert session.runs[0].finished.startswith("abort: the simulated device was unplugged")
+        before = [(h.start, h.accepted) for h in session.runs[0].hits]
+    assert before
+    outcome = measure(rig, tmp_path / "out.h5")
+    assert outcome.complete
+    with open_session(tmp_path / "out.h5") as session:
+        first = [r for r in session.runs if r.info["item"] == "hammer 1:x"]
+        assert [(h.start, h.accepted) for h in first[0].hits] == before
+        assert sum(h.accepted for r in first for h in r.hits) == 3
+
+
+def _vanishing(rig):
+    s = rig.toml.simulated
+    return s.model_copy(update={"faults": s.faults.model_copy(update={"vanish": 2.2})})
+
+
+@pytest.mark.parametrize("make", [hammer_rig, shaker_rig])
+def test_a_plan_resumed_between_items_gives_the_same_bits(tmp_path, make):
+    rig = make(tmp_path)
+    whole = measure(rig, tmp_path / "whole.h5")
+
+    class Evening(Quiet):
+        """Stops when the second item begins."""
+
+        def commands(self):
+            current = [p.key for p in self.last.progress if p.current] if self.last else []
+            return ["stop"] if current == [items(rig)[1].key] else []
+
+        def wants(self):
+            return True
+
+    one = measure(rig, tmp_path / "parts.h5", Evening())
+    assert not one.complete
+    parts = measure(rig, tmp_path / "parts.h5")
+    assert parts.complete
+    assert list(parts.frfs) == list(whole.frfs)
+    for name, found in whole.frfs.items():
+        if make is shaker_rig or name == "hammer 1:x":
+            np.testing.assert_array_equal(parts.frfs[name].value, found.value)
+
+
+def test_a_plan_resumed_in_the_middle_of_a_point_gives_the_same_bits(tmp_path):
+    """The same blows, recorded in one run or in two, on two days."""
+    text = HAMMER.replace('points = ["1:x", "2:x"]', 'points = ["1:x"]').replace("hits = 3", "hits = 4")
+    rig = rig_of(tmp_path, text)
+    whole = measure(rig, tmp_path / "whole.h5")
+    with open_session(tmp_path / "whole.h5") as session:
+        blocks = list(session.runs[0].replay())
+        cut = (session.runs[0].hits[1].stop + session.runs[0].hits[2].start) // 2 // 512
+
+    played = replay_of(rig, [blocks[:cut], blocks[cut:]])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "devices", played)
+        with pytest.raises(DeviceLostError):
+            measure(rig, tmp_path / "parts.h5")
+        parts = measure(rig, tmp_path / "parts.h5")
+    assert parts.complete
+    found, expected = parts.frfs["hammer 1:x"], whole.frfs["hammer 1:x"]
+    np.testing.assert_array_equal(found.value, expected.value)
+    np.testing.assert_array_equal(found.coherence, expected.coherence)
+    np.testing.assert_array_equal(found.variance, expected.variance)
+
+
+def test_a_second_session_needs_the_same_rig(tmp_path):
+    rig = hammer_rig(tmp_path)
+    measure(rig, tmp_path / "out.h5")
+    other = hammer_rig(tmp_path, ("hits = 3", "hits = 4"))
+    with pytest.raises(ConfigError, match=r"begun with another rig\.toml"):
+        measure(other, tmp_path / "out.h5")
+
+
+def test_measuring_a_complete_plan_again_changes_nothing(tmp_path):
+    rig = hammer_rig(tmp_path)
+    measure(rig, tmp_path / "out.h5")
+    with open_session(tmp_path / "out.h5") as session:
+        before = len(session.frfs()), len(session.runs)
+    again = measure(rig, tmp_path / "out.h5")
+    assert again.complete
+    with open_session(tmp_path / "out.h5") as session:
+        assert (len(session.frfs()), len(session.runs)) == before

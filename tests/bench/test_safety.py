@@ -1,0 +1,160 @@
+"""What stops a run: limits, overloads, the person, gaps, a full disk, signals; the generator is off first."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from drivers.simulated import SimulatedBench, SimulatedExciter
+from labnnum.errors import SafetyError, StoreError
+from sessions.bench import measure
+from sessions.display import Quiet
+from sessions.runs import Run
+from sessions.store import open_session
+
+from .rigs import agreement, shaker_rig
+
+
+class Spy:
+    """Notes in which order the bench acts."""
+
+    def __init__(self, monkeypatch):
+        self.log = []
+        off, stop, append = SimulatedExciter.off, SimulatedBench.stop, Run.append
+
+        def noted(name, call):
+            def wrapped(this, *args):
+                self.log.append(name)
+                return call(this, *args)
+
+            return wrapped
+
+        monkeypatch.setattr(SimulatedExciter, "off", noted("off", off))
+        monkeypatch.setattr(SimulatedBench, "stop", noted("stop", stop))
+        monkeypatch.setattr(Run, "append", noted("append", append))
+
+
+def test_a_limit_switches_off_first_and_keeps_the_block(tmp_path, monkeypatch):
+    rig = shaker_rig(tmp_path, ("sensitivity = 0.2\n", "sensitivity = 0.2\nwarn = 1.0\nstop = 3.0\n"))
+    spy = Spy(monkeypatch)
+    with pytest.raises(SafetyError, match=r"'force' reached .* over its stop limit 3 N: the output"):
+        measure(rig, tmp_path / "out.h5")
+    tail = spy.log[len(spy.log) - spy.log[::-1].index("append") - 2 :]
+    assert tail[:2] == ["off", "append"]
+    assert "stop" in tail
+    with open_session(tmp_path / "out.h5") as session:
+        ended = [r.finished for r in session.runs]
+    assert ended[0] == "complete"
+    assert ended[1].startswith("abort: channel 'force'")
+
+
+def test_stop_switches_off_first(tmp_path, monkeypatch):
+    rig = shaker_rig(tmp_path)
+    spy = Spy(monkeypatch)
+    outcome = measure(rig, tmp_path / "out.h5", Quiet([(0, "stop")]))
+    assert not outcome.complete
+    assert spy.log.index("off") < len(spy.log) - 1 - spy.log[::-1].index("stop")
+    assert "append" not in spy.log[spy.log.index("off") :]
+    assert outcome.items["multisine 0.5 #1"] == "stopped by the user"
+
+
+def test_overload_and_lost_frames_can_stop(tmp_path):
+    rig = shaker_rig(
+        tmp_path, ("ramp = 0.1", 'ramp = 0.1\noverload = "stop"'), ('unit = "N"', 'unit = "N"\nfull_scale = 0.3')
+    )
+    with pytest.raises(SafetyError, match="'force' met the end of its range"):
+        measure(rig, tmp_path / "out.h5")
+
+
+def test_a_clipped_run_is_kept_and_gives_no_frf(tmp_path):
+    rig = shaker_rig(tmp_path, ('unit = "m/s^2"\n', 'unit = "m/s^2"\nfull_scale = 0.05\n'))
+    outcome = measure(rig, tmp_path / "out.h5")
+    assert outcome.complete
+    assert "multisine 2" not in outcome.frfs
+    assert any(m.startswith("no FRF of multisine 2") for m in outcome.messages)
+    assert any("met the end of its range" in m for m in outcome.messages)
+
+
+def test_a_level_out_of_reach_is_said(tmp_path):
+    rig = shaker_rig(tmp_path, ("max_volts = 8.0", "max_volts = 1.0"))
+    with pytest.raises(SafetyError, match="more than max_volts 1"):
+        measure(rig, tmp_path / "out.h5")
+    rig = shaker_rig(tmp_path, ("gain = 5.0", "gain = 1e-9"))
+    with pytest.raises(SafetyError, match=r"more than max_volts|does not settle"):
+        measure(rig, tmp_path / "other.h5")
+
+
+def test_gaps_stay_out_of_averages(tmp_path):
+    faults = "[simulated.faults]\ndropouts = 0.3\ndropout_frames = 100\n"
+    rig = shaker_rig(tmp_path, ("periods = 4", "periods = 30"), ("[simulated.channel", f"{faults}[simulated.channel"))
+    outcome = measure(rig, tmp_path / "out.h5")
+    with open_session(tmp_path / "out.h5") as session:
+        gaps = [len(r.gaps()) for r in session.runs]
+    assert max(gaps) > 0
+    assert any("frames were lost" in m for m in outcome.messages)
+    assert any(f"{max(gaps)} gaps in all: {100 * max(gaps)} frames lost" in m for m in outcome.messages)
+    for name in ("multisine 0.5", "multisine 2"):
+        assert agreement(rig, outcome.frfs[name]) < 1.6
+
+
+def test_a_full_disk_switches_off_and_says_so(tmp_path, monkeypatch):
+    rig = shaker_rig(tmp_path)
+    count = 0
+    append = Run.append
+
+    def full(run, block):
+        nonlocal count
+        count += 1
+        if count > 20:
+            raise StoreError("the disk is full")
+        return append(run, block)
+
+    monkeypatch.setattr(Run, "append", full)
+    log = []
+    off = SimulatedExciter.off
+    monkeypatch.setattr(SimulatedExciter, "off", lambda this: (log.append("off"), off(this)))
+    with pytest.raises(StoreError, match="full"):
+        measure(rig, tmp_path / "out.h5")
+    assert log
+    with open_session(tmp_path / "out.h5") as session:
+        assert session.runs[0].n_samples == 20 * 256
+
+
+@pytest.fixture
+def interruptible():
+    """Children heed SIGINT even where this process was started in the background, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="needs POSIX signals")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.usefixtures("interruptible")
+def test_signals_end_a_run_in_order(tmp_path, name):
+    shaker_rig(tmp_path, ("block = 256", "block = 64\nreal_time = true"), ("periods = 4", "periods = 400"))
+    out = tmp_path / "out.h5"
+    words = ["-m", "sessions.cli", "measure", str(tmp_path / "rig.toml"), "-o", str(out), "--quiet"]
+    command = subprocess.Popen([sys.executable, *words], stderr=subprocess.PIPE, text=True)
+    try:
+        until = time.monotonic() + 60
+        while not _stored(out):
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        command.send_signal(getattr(signal, name))
+        said = command.communicate(timeout=30)[1]
+    finally:
+        command.kill()
+    assert command.returncode == 130
+    assert said.startswith("labnnum: interrupted")
+    with open_session(out) as session:
+        assert session.runs[0].finished == "interrupted"
+
+
+def _stored(path):
+    if not path.exists():
+        return 0
+    with open_session(path) as session:
+        return session.runs[0].n_samples if session.runs else 0

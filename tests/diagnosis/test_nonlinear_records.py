@@ -1,0 +1,117 @@
+"""Hits, noise and sweeps in the nonlinear diagnosis: simulated responses against another march, and their signs."""
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis import observe_all
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.march import CODES
+from labnnum.diagnosis.nonlinear.receptance import Base
+from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
+from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.nonlinear import Element, NonlinearSimulation
+from labnnum.recording import Channel, Recording
+from labnnum.structures import Chain
+from labnnum.structures.chain import Link
+from labnnum.system import system
+
+RATE, FINE = 40.0, 16
+OUTPUTS = tuple(Channel(f"a{i}", "acceleration", "response", str(i), "x") for i in (1, 2, 4))
+FORCE = Channel("f", "force", "reference", "3", "x")
+CUBIC = (3e4,)
+
+
+def chain():
+    links = [Link("1", "ground", 1000.0, 4.0)] + [Link(str(i), str(i + 1), 1000.0, 4.0) for i in range(1, 4)]
+    return Chain({str(i): 1.0 for i in range(1, 5)}, tuple(links), ())
+
+
+def joint_23():
+    column = np.zeros(4)
+    column[1], column[2] = -1.0, 1.0
+    return column
+
+
+def recorded(force, elements):
+    """The recording of a force (n,) from rest, marched on `FINE` steps a sample."""
+    n = force.size
+    fine = np.fft.irfft(np.fft.rfft(force), n * FINE) * FINE
+    march = NonlinearSimulation(system(chain(), chain().nominal, OUTPUTS, [FORCE]), elements, 1 / (RATE * FINE))
+    y = march.run(np.append(fine, np.zeros(march.delay))[None])
+    spectrum = np.fft.rfft(y, axis=1)[:, : n // 2 + 1]
+    return Recording((FORCE, *OUTPUTS), np.vstack([force, np.fft.irfft(spectrum, n, axis=1) / FINE]), RATE, label="run")
+
+
+def noise(level, n=8192, seed=1):
+    """Noise from 0.3 to 12 Hz that begins and ends softly."""
+    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(n))
+    frequency = np.fft.rfftfreq(n, 1 / RATE)
+    spectrum[(frequency < 0.3) | (frequency > 12)] = 0
+    x = np.fft.irfft(spectrum, n)
+    x[:64] *= np.linspace(0, 1, 64)
+    x[-64:] *= np.linspace(1, 0, 64)
+    return level * x / x.std()
+
+
+def blow(level, n=1024):
+    return level * np.exp(-(((np.arange(n) / RATE - 1.0) / 0.05) ** 2))
+
+
+def simulated(run, law, p):
+    """Responses to the run's input, linear and with the law, on the lines that are compared."""
+    engine = Engine(chain(), OUTPUTS, (FORCE,), (2 * np.pi * 0.3, 2 * np.pi * 12))
+    omega = 2 * np.pi * np.arange(run.period // 2 + 1) * run.rate / run.period
+    base = Base(engine, engine.start(), joint_23()[:, None], omega, run.decay)
+    r = base.at(base.start())
+    solver = Steady(run, np.array([CODES[law]]), 4)
+    parameters = np.zeros((1, 10))
+    parameters[0, : len(p)] = p
+    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 12)
+    linear = r.lift * (r.plain * run.u)
+    return run.seen(linear), run.seen(linear + r.lift * (r.h * orbit.force).sum(axis=1))
+
+
+@pytest.mark.parametrize("kind", ["noise", "hit"])
+def test_what_is_simulated_of_a_record_is_what_another_march_records(kind):
+    if kind == "noise":
+        recording = recorded(noise(25.0), [Element("cubic", joint_23(), CUBIC)])
+        run = stretch_of(recording, 2000, 6096)  # begins and ends in motion
+    else:
+        recording = recorded(blow(400.0), [Element("cubic", joint_23(), CUBIC)])
+        run = hits_of(observe_all([recording])[0])[0]
+    linear, made = simulated(run, "cubic", CUBIC)
+    truth = run.seen(run.y)
+    inside = (run.frequency > 0.5) & (run.frequency < 8)
+    size = np.linalg.norm(truth[:, inside])
+    assert np.linalg.norm((truth - linear)[:, inside]) > 0.05 * size  # the law matters
+    assert np.linalg.norm((truth - made)[:, inside]) < 0.005 * size
+
+
+@pytest.mark.parametrize(("elements", "told"), [([], False), ([Element("cubic", joint_23(), CUBIC)], True)])
+def test_signs_are_changes_with_level(elements, told):
+    rng = np.random.default_rng(3)
+    rows = []
+    for level, seed in ((5.0, 1), (25.0, 2)):
+        recording = recorded(noise(level, seed=seed), elements)
+        data = recording.data + 1e-3 * rng.standard_normal(recording.data.shape)
+        rows.append(Recording(recording.channels, data, RATE, label=f"level {level:g}"))
+    assert changed(observe_all(rows)) is told
+
+
+def test_stretches_that_are_held_out_are_not_fitted():
+    parts = split(observe_all([recorded(noise(5.0), [])]), decay_time=1.0)
+    (own,), (held,) = ([o.run for o in side] for side in (parts.train, parts.test))
+    assert own.period == held.period
+    assert own.open
+    assert not own.lasting
+    assert not np.allclose(own.u, held.u)
+
+
+def test_a_sweep_holds_out_lines():
+    n = 8192
+    time = np.arange(n) / RATE
+    sweep = 5.0 * np.sin(2 * np.pi * (0.3 * time + (12 - 0.3) * time**2 / 2 / time[-1]))
+    parts = split(observe_all([recorded(sweep, [])]), decay_time=1.0)
+    (own,), (held,) = ([o.run for o in side] for side in (parts.train, parts.test))
+    assert not (own.compared & held.compared).any()
+    assert 0.2 < held.compared.sum() / own.inside.sum() < 0.3
