@@ -19,9 +19,13 @@ from collections.abc import Callable
 from itertools import combinations_with_replacement
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.io import loadmat
 from scipy.optimize import least_squares
+
+Model = Callable[[NDArray, NDArray], NDArray]
+"""From input and output (whose first WARM samples start it) to the simulated output."""
 
 START, LENGTH, GAP, WARM = 40930, 8192, 8692, 50
 LAGS = 3
@@ -50,18 +54,65 @@ def product(x: NDArray, terms: list[tuple[int, ...]]) -> NDArray:
     return np.stack([np.prod(x[..., list(t)], axis=-1) for t in terms], axis=-1)
 
 
-def simulate(step: Callable[[NDArray], float], u: NDArray, y: NDArray) -> NDArray:
-    """Free run from the first WARM samples."""
+@njit(cache=True)
+def march(u, y, lags, table, size):  # pragma: no cover - compiled
+    """Free run of a polynomial form from the first WARM samples; rows of `table` hold columns, -1 for none."""
     out = y.copy()
+    x = np.empty(2 * lags + 1)
     for t in range(WARM, u.size):
-        x = np.concatenate([u[t : t - LAGS - 1 : -1], out[t - 1 : t - LAGS - 1 : -1]])
-        out[t] = np.clip(step(x), -1.0, 1.0)
+        for i in range(lags + 1):
+            x[i] = u[t - i]
+        for i in range(lags):
+            x[lags + 1 + i] = out[t - 1 - i]
+        total = 0.0
+        for row in range(table.shape[0]):
+            value = size[row]
+            for c in table[row]:
+                if c >= 0:
+                    value *= x[c]
+            total += value
+        out[t] = min(max(total, -1.0), 1.0)
     return out
 
 
-def rms(step: Callable[[NDArray], float], u: NDArray, y: NDArray) -> float:
+def polynomial(terms: list[tuple[int, ...]], size: NDArray) -> Model:
+    """Simulation of a polynomial form."""
+    table = np.full((len(terms), 3), -1, np.int64)
+    for row, t in enumerate(terms):
+        table[row, : len(t)] = t
+    return lambda u, y: march(u, y, LAGS, table, size)
+
+
+def perceptron(weights: list[NDArray], offsets: list[NDArray], scale: NDArray, size: float) -> Model:
+    """Simulation of a net with one hidden layer."""
+    first, second = weights[0] / scale[:, None], weights[1][:, 0] * size
+
+    def run(u: NDArray, y: NDArray) -> NDArray:
+        out = y.copy()
+        for t in range(WARM, u.size):
+            x = np.concatenate([u[t : t - LAGS - 1 : -1], out[t - 1 : t - LAGS - 1 : -1]])
+            out[t] = min(max(float(np.tanh(x @ first + offsets[0]) @ second + offsets[1][0] * size), -1.0), 1.0)
+        return out
+
+    return run
+
+
+def rms(model: Model, u: NDArray, y: NDArray) -> float:
     """Simulated error in mV RMS."""
-    return 1e3 * float(np.sqrt(np.mean((simulate(step, u, y) - y)[WARM:] ** 2)))
+    return 1e3 * float(np.sqrt(np.mean((model(u, y) - y)[WARM:] ** 2)))
+
+
+def refined(
+    terms: list[tuple[int, ...]], start: NDArray, basis: NDArray, parts: list[tuple[NDArray, NDArray]]
+) -> Model:
+    """The form's coefficients that minimise its simulated error on `parts`."""
+    scale = 1e-3 / np.sqrt(np.mean(basis**2, axis=0))
+
+    def left(p: NDArray) -> NDArray:
+        model = polynomial(terms, start + scale * p)
+        return np.concatenate([(model(u, y) - y)[WARM:] * 1e3 for u, y in parts])
+
+    return polynomial(terms, start + scale * least_squares(left, np.zeros(len(terms)), max_nfev=40).x)
 
 
 def main() -> None:
@@ -72,54 +123,40 @@ def main() -> None:
     target = np.concatenate([y[s][LAGS:] for s in spans[:8]])
     tests = [slice(0, 40500), spans[8], spans[9]]
     columns = x.shape[1]
-    cube = [*((i,) for i in range(columns)), (LAGS + 1,) * 2, (LAGS + 1,) * 3]
-
-    def linear_in(terms: list[tuple[int, ...]]) -> Callable[[NDArray], float]:
-        size = np.linalg.lstsq(product(x, terms), target, rcond=None)[0]
-        return lambda one: float(product(one, terms) @ size)
-
-    models: dict[str, Callable[[NDArray], float]] = {
-        "linear ARX": linear_in(powers(columns, 1)),
-        "Duffing form, one step ahead": linear_in(cube),
-        "polynomial NARX, degree 3": linear_in(powers(columns, 3)),
+    forms = {
+        "linear ARX": powers(columns, 1),
+        "Duffing form, one step ahead": [*((i,) for i in range(columns)), (LAGS + 1,) * 2, (LAGS + 1,) * 3],
+        "polynomial NARX, degree 3": powers(columns, 3),
     }
-    models["Duffing form, simulated error"] = refined(cube, x, target, u, y, spans[:2])
+    print(f"{'model':32s} {'arrow':>8s} {'ms 9':>8s} {'ms 10':>8s}  mV RMS, simulated")
+
+    def show(name: str, model: Model) -> None:
+        print(f"{name:32s} " + " ".join(f"{rms(model, u[s], y[s]):8.3f}" for s in tests), flush=True)
+
+    for name, terms in forms.items():
+        basis = product(x, terms)
+        size = np.linalg.lstsq(basis, target, rcond=None)[0]
+        show(name, polynomial(terms, size))
+        if name.startswith("Duffing"):
+            parts = [(u[s], y[s]) for s in spans[:8]]
+            show("Duffing form, simulated error", refined(terms, size, basis, parts))
     try:
         from sklearn.neural_network import MLPRegressor
     except ImportError:
         print("scikit-learn is not installed: no perceptron")
-    else:
-        scale = x.std(axis=0)
-        net = MLPRegressor((30,), activation="tanh", solver="lbfgs", max_iter=2000, random_state=0, tol=1e-9)
-        net.fit(x / scale, target / y.std())
-        models["perceptron NARX, 30 units"] = perceptron(net.coefs_, net.intercepts_, scale, float(y.std()))
-    print(f"{'model':32s} {'arrow':>8s} {'ms 9':>8s} {'ms 10':>8s}  mV RMS, simulated")
-    for name, step in models.items():
-        print(f"{name:32s} " + " ".join(f"{rms(step, u[s], y[s]):8.3f}" for s in tests), flush=True)
-
-
-def perceptron(weights: list[NDArray], offsets: list[NDArray], scale: NDArray, size: float) -> Callable[..., float]:
-    """One step of a net of one hidden layer."""
-    first, second = weights
-    return lambda one: float(np.tanh(one / scale @ first + offsets[0]) @ second[:, 0] + offsets[1][0]) * size
-
-
-def refined(
-    terms: list[tuple[int, ...]], x: NDArray, target: NDArray, u: NDArray, y: NDArray, spans: list[slice]
-) -> Callable[[NDArray], float]:
-    """The form's coefficients that minimise its simulated error on `spans`."""
-    basis = product(x, terms)
-    start = np.linalg.lstsq(basis, target, rcond=None)[0]
-    scale = 1e-3 / np.sqrt(np.mean(basis**2, axis=0))
-
-    def left(p: NDArray) -> NDArray:
-        size = start + scale * p
-        return np.concatenate([
-            (simulate(lambda one: float(product(one, terms) @ size), u[s], y[s]) - y[s])[WARM::4] * 1e3 for s in spans
-        ])  # fmt: skip
-
-    size = start + scale * least_squares(left, np.zeros(len(terms)), max_nfev=12).x
-    return lambda one: float(product(one, terms) @ size)
+        return
+    scale = x.std(axis=0)
+    net = MLPRegressor(
+        hidden_layer_sizes=(30,),
+        activation="tanh",
+        solver="lbfgs",
+        max_iter=400,
+        max_fun=10**6,
+        random_state=0,
+        tol=1e-9,
+    )
+    net.fit(x / scale, target / y.std())
+    show("perceptron NARX, 30 units", perceptron(net.coefs_, net.intercepts_, scale, float(y.std())))
 
 
 if __name__ == "__main__":
