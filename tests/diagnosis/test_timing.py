@@ -1,12 +1,16 @@
 """Places told by when distortion comes; what is no excitation and no drift."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from labnnum.diagnosis.gates import drifted
+from labnnum.diagnosis.nonlinear.joined import records
 from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.diagnosis.nonlinear.merge import own_scatter
+from labnnum.diagnosis.nonlinear.problem import choose_lines
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import excited_lines, observe
 from labnnum.diagnosis.verdict import Limits
@@ -91,3 +95,36 @@ def test_a_creep_that_levels_dwarf_is_no_drift():
     same = drifted(None, [low, replace(low, level=3.0)])  # pyright: ignore[reportArgumentType]
     assert same is not None
     assert same.term.mechanism.id == "drift"
+
+
+def test_a_sweep_is_kept_in_the_band_only():
+    rate, n = 400.0, 20000
+    time = np.arange(n) / rate
+    force = np.sin(2 * np.pi * (15 * time - 0.125 * time**2))
+    y = np.vstack([force, np.roll(force, 3)])
+    channels = (Channel("f", "force", "reference", "1", "z"), Channel("a", "acceleration", "response", "1", "z"))
+    (run,) = records([observe(Recording(channels, y, rate, label="sweep"))], (2.5, 14.0), 0.1)
+    assert run.rate < 60.0
+    assert run.miss == 0.1
+    compared = run.frequency[run.compared]
+    assert compared[0] >= 2.5
+    assert compared[-1] <= 14.0
+
+
+def test_what_an_identified_base_misses_widens_its_errors():
+    run = rattling((2,)).run
+    plain, wide = choose_lines(run), choose_lines(replace(run, miss=0.1))
+    row = np.sqrt(np.mean(np.abs(run.y[:, plain.at]) ** 2, axis=1, keepdims=True))
+    assert np.allclose(wide.sigma**2, plain.sigma**2 + (0.1 * row) ** 2)
+    assert own_scatter(0.0).floor < own_scatter(0.1).floor == 0.05
+
+
+def test_the_f16_rattles_at_the_joint_between_acc2_and_acc3(recordings):
+    from sessions.diagnose import observations_of
+
+    folder = Path(__file__).resolve().parents[2] / "examples" / "recordings" / "f16"
+    found = observations_of([recordings / "f16" / "F16Data_FullMSine_Level7.mat"], folder / "channels.toml")
+    assert np.allclose(found[0].frf.frequency[[0, -1]], [2.0, 15.0], atol=0.06)
+    timed = timing(found, spots())
+    assert timed[0].spot.place == Place("joint", "2", "3")
+    assert told(timed, Limits())
