@@ -46,7 +46,7 @@ def peak(frequency: NDArray, h: NDArray, low: float, high: float, *, width: floa
 
     def left(p: NDArray) -> NDArray[np.float64]:
         a = basis(p).T
-        real = np.concatenate([a.real, a.imag])
+        real = np.concatenate([np.real(a), np.imag(a)])
         b = np.concatenate([y.real, y.imag])
         return real @ np.linalg.lstsq(real, b, rcond=1e-12)[0] - b
 

@@ -97,8 +97,8 @@ def silverbox(data: Path, examples: Path, out: Path) -> list[Row]:
             rows.append(Row("Silverbox", what, f"{_rms(own):.3f}", published))
         parts = ", ".join(f"{_rms(part - part.mean()):.2f}" for part in np.array_split(left["extended"][FIRST:], 6))
         rows.append(Row("Silverbox", f"{label}, extended, six parts in turn, mV RMS", parts, ""))
-        lost = [1e-3 * left[name] for name in ("linear base", "extended")]
-        record_figure(out / f"{label}.svg", one.rate, measured, *(measured - e for e in lost), "V")
+        plain, own = (measured - 1e-3 * left[name] for name in ("linear base", "extended"))
+        record_figure(out / f"{label}.svg", one.rate, measured, plain, own, "V")
     return rows
 
 
