@@ -47,7 +47,7 @@ def peak(frequency: NDArray, h: NDArray, low: float, high: float, *, width: floa
     def left(p: NDArray) -> NDArray[np.float64]:
         a = basis(p).T
         real = np.concatenate([np.real(a), np.imag(a)])
-        b = np.concatenate([y.real, y.imag])
+        b = np.concatenate([np.real(y), np.imag(y)])
         return real @ np.linalg.lstsq(real, b, rcond=1e-12)[0] - b
 
     scale = float(np.sqrt(np.mean(np.abs(y) ** 2)))

@@ -113,6 +113,7 @@ def test_a_sweep_is_kept_in_the_band_only():
 
 def test_what_an_identified_base_misses_widens_its_errors():
     run = rattling((2,)).run
+    assert run is not None
     plain, wide = choose_lines(run), choose_lines(replace(run, miss=0.1))
     row = np.sqrt(np.mean(np.abs(run.y[:, plain.at]) ** 2, axis=1, keepdims=True))
     assert np.allclose(wide.sigma**2, plain.sigma**2 + (0.1 * row) ** 2)
