@@ -99,8 +99,14 @@ def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
     )
     basis = _basis(frf.omega, omega[keep], zeta[keep])
     fitted = residue[keep].T @ basis
-    error = float(np.sqrt(np.mean(np.sum(np.abs(fitted - h) ** 2, axis=1) / np.sum(np.abs(h) ** 2, axis=1))))
-    return Identified(poles, damping, ModalStructure(built), error, fitted, diagram)
+    power = np.sum(np.abs(h) ** 2, axis=1)
+    missed = float(np.mean(np.sum(np.abs(fitted - h) ** 2, axis=1) / power))
+    noise = missed  # what a window leaks is no lack of the modes
+    if frf.estimator == "periodic" and frf.variance is not None:
+        each = np.abs(h) ** 2 * frf.variance[:, 0] / np.maximum(np.abs(frf.value[:, 0]) ** 2, 1e-300)
+        noise = float(np.mean(np.sum(each, axis=1) / power))
+    lack = float(np.sqrt(max(missed - noise, 0.0)))
+    return Identified(poles, damping, ModalStructure(built, error=lack), float(np.sqrt(missed)), fitted, diagram)
 
 
 def receptance_of(frf: Frf) -> NDArray[np.complex128]:

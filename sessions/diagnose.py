@@ -62,6 +62,18 @@ def run(
     progress("reading")
     train = observations_of(recordings, channels)
     test = observations_of(held_out, channels) if held_out else []
+    return run_observed(train, model, test, rig, progress, mechanisms)
+
+
+def run_observed(
+    train: Sequence[Observation],
+    model: Model,
+    test: Sequence[Observation] = (),
+    rig: str | Path | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+    mechanisms: Sequence[str | Path] = (),
+) -> Diagnosis:
+    """The same from observations, which may have come by different channels.toml files."""
     scatter, limits = read_limits(rig) if rig else (Scatter(), Limits())
     _require_sensors(model, train)
     p = model.places
@@ -105,14 +117,18 @@ def diagnose_files(
     """Content of diagnosis.json, written with diagnosis.html and extended.toml into the folder `out`."""
     read = read_model(model)
     d = run(recordings, read, held_out, channels, rig, progress, mechanisms)
-    folder = Path(out)
+    progress("drawing")
+    return write_answer(Path(out), read, d)
+
+
+def write_answer(folder: Path, read: Model, d: Diagnosis) -> dict[str, Any]:
+    """diagnosis.json (its content), diagnosis.html and extended.toml in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     content = d.as_dict()
     (folder / "diagnosis.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     write_extended(folder / "extended.toml", read, d)
     from sessions.report.diagnosis import write_page
 
-    progress("drawing")
     write_page(folder / "diagnosis.html", read, d)
     return content
 

@@ -81,7 +81,7 @@ def _tables(found: Identified, frf: Frf, band: tuple[float, float]) -> dict[str,
         for m in found.structure.modes
     ]
     return {
-        "structure": {"kind": "modal", "mode": modes},
+        "structure": {"kind": "modal", "error": float(f"{found.structure.error:.3g}"), "mode": modes},
         "band": [{"low": band[0], "high": band[1]}],
         "places": {"nodes": nodes, "elements": [list(p) for p in combinations(nodes, 2)], "supports": []},
     }

@@ -271,6 +271,7 @@ class ModalTable(StructureTable):
     mode: tuple[ModeTable, ...]
     flexibility: dict[str, Quantity] = Field(default_factory=dict)
     node: tuple[NodeTable, ...] = ()
+    error: float = Field(default=0.0, ge=0.0, lt=1.0)
 
     def build(self, common: Common, folder: Path) -> Structure:
         """The modal structure."""
@@ -281,6 +282,7 @@ class ModalTable(StructureTable):
             flexibility=self.flexibility,
             parameters=common.parameters,
             positions={n.node: n.xyz for n in self.node},
+            error=self.error,
         )
 
 

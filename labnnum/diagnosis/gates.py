@@ -24,6 +24,8 @@ PILED = 8.0
 """Excess of samples at the rail over those just inside it that counts without distortion lines."""
 CHANGED = 1.25
 """Ratio of the change within a run to what its periods' scatter allows; sound runs scatter about 1."""
+BESIDE = 10.0
+"""Ratio of the change of the FRFs between levels to that within runs, above which a drift is beside the point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +111,30 @@ def _less_channel(recording: Recording, name: str) -> Recording:
 def drifted(engine: Engine, observations: Sequence[Observation]) -> Named | None:
     """Drift, if the runs change within themselves beyond their scatter; its size from the common frequency change."""
     ratios = [o.drift for o in observations if o.drift > 0]
-    if not ratios or float(np.median(ratios)) < CHANGED:
+    if not ratios or float(np.median(ratios)) < CHANGED or _level_outweighs(observations):
         return None
     sizes = [_stiffness_change(engine, o) for o in observations if o.drift_slope is not None]
     value, std = float(np.mean(sizes)), float(np.std(sizes) / np.sqrt(max(len(sizes), 1)) + 1e-6)
     parameter = Parameter("relative_change", 0.0, -1.0, 10.0)
     term = Term(Drift(), Place("global", "structure"), (parameter,), np.zeros((0, 1)))
     return Named(term, np.array([value]), np.array([std]), float(min(0.999, 1 - np.exp(-3 * (np.median(ratios) - 1)))))
+
+
+def _level_outweighs(observations: Sequence[Observation]) -> bool:
+    """Whether the FRFs change with level far more than they do within any run: a strained joint may creep a little."""
+    known = [o for o in observations if o.drift_slope is not None and np.isfinite(o.level) and o.level > 0]
+    known.sort(key=lambda o: o.level)
+    if len(known) < 2 or known[-1].level < 1.3 * known[0].level:
+        return False
+    low, high = known[0].frf, known[-1].frf
+    if low.value.shape != high.value.shape or not np.allclose(low.frequency, high.frequency):
+        return False
+    size = np.linalg.norm(low.value)
+    within = max(
+        (np.linalg.norm(o.drift_slope.value) / np.linalg.norm(o.frf.value) for o in known if o.drift_slope is not None),
+        default=np.inf,
+    )
+    return bool(np.linalg.norm(high.value - low.value) / size > BESIDE * within)
 
 
 def _stiffness_change(engine: Engine, o: Observation) -> float:

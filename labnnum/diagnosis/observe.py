@@ -99,7 +99,26 @@ def excited_lines(spectrum: NDArray, noise: NDArray) -> NDArray[np.bool_]:
     size = np.abs(spectrum)
     size[0] = 0
     around = maximum_filter1d(size, 41)
-    return (size > 0.05 * around) & (size > 1e-3 * size.max()) & (size > 4 * noise)
+    return (size > 0.05 * around) & (size > _least(size)) & (size > 4 * noise)
+
+
+GAP = 5.0
+"""Ratio between two neighbours in the order of size that parts excited lines from what the structure puts on others."""
+
+
+def _least(size: NDArray) -> float:
+    """Amplitude from which a line counts as excited: a thousandth of the largest, or above the widest gap.
+
+    The force that a shaker feels holds the structure's harmonics and the mains, far below what was played.
+    """
+    top = float(size.max())
+    order = np.sort(size[size > 1e-3 * top])
+    if order.size < 2:
+        return 1e-3 * top
+    ratio = order[1:] / order[:-1]
+    widest = int(np.argmax(ratio))
+    above = np.sum(order[widest + 1 :] ** 2) / np.sum(order**2)
+    return float(order[widest] * 1.01) if ratio[widest] > GAP and above > 0.99 else 1e-3 * top
 
 
 def _smooth(variance: NDArray, width: int = 31) -> NDArray:
@@ -154,6 +173,7 @@ def _periodic(recording: Recording) -> Observation:
             spectra, on, inputs, outputs, recording.rate, n, float(np.sqrt(np.sum(np.abs(u) ** 2) / 2)),
             recording.label, recording.channels,
         ),
+        recordings=(recording,),
     )  # fmt: skip
 
 

@@ -50,6 +50,8 @@ class ModalStructure(Structure):
     parameters : sequence of Parameter
     positions : mapping
         Node -> x, y, z in m; optional.
+    error : float
+        What modes that were identified miss of their own FRFs beyond noise, relative; 0 if they were not.
 
     Examples
     --------
@@ -62,6 +64,7 @@ class ModalStructure(Structure):
     flexibility: Mapping[str, Quantity] = field(default_factory=dict)
     parameters: tuple[Parameter, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride]
     positions: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    error: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "modes", tuple(self.modes))

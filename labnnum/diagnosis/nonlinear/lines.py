@@ -59,6 +59,7 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
         noise = np.full(size.shape, 0.0) + (1e-3 * np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))) ** 2
     row = np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))
     sigma = np.sqrt(noise + (floor * size) ** 2 + (DISTORTION * floor) ** 2 * local + (0.02 * floor * row) ** 2)
+    sigma = np.hypot(sigma, run.miss * row)
     if most and inside.size > most:
         rng = np.random.default_rng(inside.size)
         on, off = inside[run.excited[inside]], inside[~run.excited[inside]]

@@ -30,6 +30,23 @@ OWN = Scatter(
 """Errors of a model that was identified with the sensors it is judged by."""
 
 
+NEARLY = 1 / 3
+"""Part of the base's held-out error, to which a law must bring it down, for what is left to be no objection where the
+base was identified and misses its own data: it has no physics that the law could contradict."""
+
+
+LEAST = 1e-3
+"""What any identified base misses at least, RMS over the lines of a response, relative: errors then weigh as they do in
+a simulated response, and not line by line."""
+
+
+def own_scatter(error: float) -> Scatter:
+    """Errors of a model that was identified with the sensors it is judged by, and missed its own data by `error`."""
+    return replace(
+        OWN, shape=max(OWN.shape, error / 2), remainder=max(OWN.remainder, 2 * error), floor=max(OWN.floor, error / 2)
+    )
+
+
 def nonlinear_first(
     engine: Engine, gate: Gate, observations: Sequence[Observation], held_out: Sequence[Observation], places: Places,
     scatter: Scatter, limits: Limits, span: tuple[float, float] | None,
@@ -38,19 +55,23 @@ def nonlinear_first(
     """The whole diagnosis where the runs show nonlinear physics, else None.
 
     `known` laws are those that the model holds. The linear search (`again`) runs on FRFs from which the law's share is
-    taken. Where it names a fault of a channel,
-    that is taken off the spectra and the law is sought once more.
+    taken. Where it names a fault of a channel, that is taken off the spectra and the law is sought once more.
     """
     from labnnum.diagnosis.diagnose import _kept_back, _nonlinear
 
+    nearly = 0.0
     if isinstance(engine.structure, ModalStructure):
-        scatter = OWN
+        scatter = own_scatter(engine.structure.error)
+        nearly = NEARLY if engine.structure.error > 0 else 0.0
     usable = gate.usable
     kept = set() if held_out or len(usable) < 2 else _kept_back(usable)
     train = [o for i, o in enumerate(usable) if i not in kept]
     test = list(held_out) or [usable[i] for i in sorted(kept)]
+    if isinstance(engine.structure, ModalStructure):
+        miss = max(engine.structure.error, LEAST)
+        train, test = ([_missing(o, miss) for o in part] for part in (train, test))
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
-    found = answer(engine, train, test, places, scatter, limits, band, progress, usable, known)
+    found = answer(engine, train, test, places, scatter, limits, band, progress, usable, known, nearly)
     if found is None or found.reason == UNCONFIRMED:
         return None
     progress("searching for linear physics beside it")
@@ -60,11 +81,16 @@ def nonlinear_first(
     if periodic and found.misfit > 1.5 and any(n.place.kind == "channel" for n in rest.named):
         train = [_mended(o, rest.named) for o in train]
         test = [_mended(o, rest.named) for o in test]
-        second = answer(engine, train, test, places, scatter, limits, band, progress)
+        second = answer(engine, train, test, places, scatter, limits, band, progress, (), (), nearly)
         if second is not None and second.misfit < found.misfit:
             found = second
     signs = _nonlinear(observations)
     return merged(found, rest, gate.named, signs, observations)
+
+
+def _missing(o: Observation, error: float) -> Observation:
+    """The observation with what an identified base is known to miss."""
+    return o if o.run is None else replace(o, run=replace(o.run, miss=error))
 
 
 EXPLAINED = 1.2

@@ -42,15 +42,27 @@ def response(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: i
     Parameters
     ----------
     linear : bool
-        Of the base model alone, fitted to the same data.
+        Of the base model alone.
     steps : int
         Newton steps at most; a steady state that does not close is what they end at.
     """
+    spectrum = spectra(found, run, linear=linear, steps=steps)
+    return np.fft.irfft(spectrum * (run.period / 2), run.period, axis=1)
+
+
+def spectra(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: int = 15) -> NDArray[np.complex128]:
+    """The same as spectra (n_out, n_lines)."""
     study = found.study
-    made = study.base if linear else found.laws[-1].made
+    x = found.base_x if linear else found.laws[-1].made.x
     at = np.flatnonzero(run.excited)[:2]
     lines = Lines(at, np.ones((run.y.shape[0], at.size)))
-    joint = Joint(study.engine, study.point, [run], () if linear else made.terms, Scatter(), [lines], whole=True)
-    orbits = joint.settle(made.x, [None], steps)
-    spectrum = joint.predict(made.x, orbits)[0]
-    return np.fft.irfft(spectrum * (run.period / 2), run.period, axis=1)
+    joint = Joint(study.engine, study.point, [run], () if linear else found.laws[-1].made.terms, Scatter(), [lines],
+                  whole=True)  # fmt: skip
+    return joint.predict(x, joint.settle(x, [None], steps))[0]
+
+
+def errors(found: NonlinearAnswer, run: Run, *, linear: bool = False) -> NDArray[np.float64]:
+    """Relative RMS error of each response (n_out,) over the lines of `run` that may be compared."""
+    at = run.compared
+    made, measured = (run.seen(a)[:, at] for a in (spectra(found, run, linear=linear), run.y))
+    return np.sqrt(np.sum(np.abs(made - measured) ** 2, axis=1) / np.sum(np.abs(measured) ** 2, axis=1))

@@ -182,6 +182,8 @@ def _fit_one(
         fresh[:n], fresh[n : n + m] = engine.theta0, 0.0
         fresh[n + 2 * m : n + 3 * m] = 0.0
         starts.append(fresh)
+    if lead.mechanism == "stick-slip" and joint.n_base == x.size + engine.band_modes.size:
+        starts.append(softened(joint, x, lead))
     for start in starts:
         try:
             made = fit(joint, joint.start(start), [None] * len(runs), steps=steps, exact=False)
@@ -190,6 +192,20 @@ def _fit_one(
         if best is None or made.objective < best.objective:
             best = made
     return None if best is None else Tried(lead, best, cost(best, lead.mechanism))
+
+
+def softened(joint: Joint, x: NDArray, lead: Lead) -> NDArray[np.float64]:
+    """The base without the spring of a slider that sticks at low levels, to first order: that spring it holds twice."""
+    n, b = joint.engine.theta0.size, joint.engine.band_modes
+    r = next(iter(joint.receptances(joint.start(x)[: joint.start(x).size]).values()))
+    out = x.copy()
+    less = 0.5 * lead.p[0] * r.w[0, b] ** 2 / r.omega[b] ** 2
+    out[n : n + b.size] -= np.minimum(less, SOFTER)
+    return out
+
+
+SOFTER = 0.05
+"""Fall of a frequency at most when a base is set free of what sticks."""
 
 
 def _carry_on(

@@ -1,0 +1,106 @@
+"""A named law fitted once more to periodic runs and to records that are not periodic, and judged sensor by sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.problem import Joint, fit
+from labnnum.diagnosis.nonlinear.records import stretch_of
+from labnnum.diagnosis.nonlinear.run import Run, resampled
+from labnnum.diagnosis.nonlinear.study import Study, Tried, cost
+from labnnum.errors import EstimationError
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer
+    from labnnum.diagnosis.observe import Observation
+
+ROOM = 1.2
+"""Frequency up to which a record is kept, of the highest that is compared."""
+
+
+def records(observations: Sequence[Observation], span: tuple[float, float], miss: float) -> list[Run]:
+    """Runs of the whole of each record that is neither periodic nor a hammer's, compared inside `span` Hz."""
+    out = []
+    for o in observations:
+        if o.run is not None or o.kind == "hammer" or not o.recordings:
+            continue
+        run = stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)
+        on = run.excited & (run.frequency <= ROOM * span[1])
+        run = resampled(replace(run, excited=on, miss=miss))
+        inside = (run.frequency >= span[0]) & (run.frequency <= span[1])
+        out.append(replace(run, use=inside))
+    return out
+
+
+def joined(found: Study, last: Tried, more: Sequence[Run], scatter: Scatter, lines: int = 300) -> Tried:
+    """The laws of `last` fitted to the study's runs and to `more`; unchanged where that fit does not settle."""
+    runs = [*found.runs, *more]
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
+    joint = Joint(found.engine, found.point, runs, last.made.terms, scatter, chosen)
+    start = [*last.made.orbits[: len(found.runs)], *([None] * len(more))]
+    try:
+        made = fit(joint, last.made.x, start, steps=12, always=True)
+    except (EstimationError, np.linalg.LinAlgError):
+        return last
+    made = replace(made, orbits=made.orbits[: len(found.runs)])
+    return Tried(last.lead, made, cost(made, last.mechanism))
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Measured and predicted spectra (n_out, n) of a run on the lines `frequency` (n,) that are compared.
+
+    Open runs are seen through their window, as `labnnum.diagnosis.nonlinear.run.Run.seen` does. `input` (n,) likewise.
+    """
+
+    run: Run
+    frequency: NDArray[np.float64]
+    input: NDArray[np.complex128]
+    measured: NDArray[np.complex128]
+    made: NDArray[np.complex128]
+
+    @property
+    def error(self) -> NDArray[np.float64]:
+        """Relative RMS error of each response, (n_out,)."""
+        missed = np.sum(np.abs(self.made - self.measured) ** 2, axis=1)
+        return np.sqrt(missed / np.sum(np.abs(self.measured) ** 2, axis=1))
+
+
+def predictions(
+    found: NonlinearAnswer, train: Sequence[Run], test: Sequence[Run], scatter: Scatter, *, linear: bool = False
+) -> list[Predicted]:
+    """Responses of the diagnosed model to `train` and `test`.
+
+    The sensors' ordinary errors (of the shapes there, within `scatter`) are fitted to `train` once and held for all.
+
+    Parameters
+    ----------
+    linear : bool
+        Of the base model alone, as it was identified: its sensors' errors are not fitted.
+    """
+    study, last = found.study, found.laws[-1].made
+    runs = [*train, *test]
+    lines = [choose_lines(r, 0, scatter.floor) for r in runs]
+    joint = Joint(study.engine, study.point, runs, () if linear else last.terms, scatter, lines)
+    x = found.base_x if linear else last.x
+    left, b = joint.parts(x, joint.settle(x, [None] * len(runs), 15))
+    cuts = np.cumsum([2 * one.at.size for one in lines])
+    if train and not linear:
+        own = slice(0, cuts[len(train) - 1])
+        gram = np.matmul(b[..., own], b[..., own].transpose(0, 2, 1)) + np.eye(b.shape[1])
+        size = np.linalg.solve(gram, np.matmul(b[..., own], left[:, own, None]))
+        left = left - np.matmul(b.transpose(0, 2, 1), size)[..., 0]
+    out = []
+    for run, one, part in zip(runs, lines, np.split(left, cuts[:-1], axis=1), strict=True):
+        real, imag = np.split(part, 2, axis=1)
+        missed = (real + 1j * imag) * one.sigma / np.sqrt(2.0)
+        measured = run.seen(run.y)[:, one.at]
+        out.append(Predicted(run, run.frequency[one.at], run.seen(run.u)[one.at], measured, measured - missed))
+    return out
