@@ -52,8 +52,6 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
         smooth = uniform_filter1d(size[:, at] ** 2, min(15, at.size), axis=1, mode="nearest")
         grid = np.arange(size.shape[1])
         local = np.array([np.interp(grid, at, row) for row in smooth])
-    if run.distortion is not None:
-        local = run.distortion
     noise = run.noise
     if not np.isfinite(noise).all():
         noise = np.full(size.shape, 0.0) + (1e-3 * np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))) ** 2

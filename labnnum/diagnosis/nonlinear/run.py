@@ -54,8 +54,6 @@ class Run:
     open: bool = False
     use: NDArray[np.bool_] | None = None
     """Lines that may be compared, where they are fewer than those inside."""
-    distortion: NDArray[np.float64] | None = None
-    """Power (n_out, n_lines) of what no linear model explains, where no detection lines show it."""
     miss: float = 0.0
     """What the base model is known to miss, RMS over all lines of a response, relative."""
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.fit import Scatter
@@ -118,7 +117,6 @@ def search(
     """
     alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
     calm = fit(alone, alone.start(), [None], steps=15)
-    runs = [_with_distortion(engine, point, r, calm.x, scatter) for r in runs]
     chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     plain = Joint(engine, point, runs, (), scatter, chosen)
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
@@ -142,15 +140,6 @@ def search(
         general = sorted((general_lead(background, q) for q in found[:NEAREST]), key=lambda lead: -lead.gain)
         law = _general(engine, point, runs, scatter, chosen, tried[0].made, general, tried)
     return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found))
-
-
-def _with_distortion(engine: Engine, point: Point, run: Run, x: NDArray, scatter: Scatter) -> Run:
-    """The run with what the base model at `x` leaves of it, where it has no detection lines."""
-    if run.quiet.any():
-        return run
-    joint = Joint(engine, point, [run], (), scatter, [choose_lines(run, 2, scatter.floor)], whole=True)
-    left = np.abs(run.seen(run.y - joint.predict(x, [None])[0])) ** 2
-    return replace(run, distortion=uniform_filter1d(left, 15, axis=1, mode="nearest"))
 
 
 def of_known(
