@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.diagnose import predicted, relative_error, trimmed
 from labnnum.diagnosis.fit import Data, Scatter, fit
 from labnnum.diagnosis.linear import choose_lines, data_of
 from labnnum.diagnosis.places import all_terms, places_of
+from labnnum.diagnosis.prediction import predicted, relative_error, trimmed
 from labnnum.mechanisms import CATALOGUE, Term
 from sessions.diagnose import run
 from sessions.model import read_model

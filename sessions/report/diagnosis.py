@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from labnnum import __version__
 from labnnum.diagnosis import Diagnosis
-from labnnum.diagnosis.diagnose import predicted
 from labnnum.diagnosis.locate import recover
+from labnnum.diagnosis.prediction import predicted
 from labnnum.diagnosis.verdict import Named
 from labnnum.mechanisms.base import Place, Term
 from sessions.model import Model

@@ -57,14 +57,14 @@ def nonlinear_first(
     `known` laws are those that the model holds. The linear search (`again`) runs on FRFs from which the law's share is
     taken. Where it names a fault of a channel, that is taken off the spectra and the law is sought once more.
     """
-    from labnnum.diagnosis.diagnose import _kept_back, _nonlinear
+    from labnnum.diagnosis.runs import kept_back, nonlinear_signs
 
     nearly = 0.0
     if isinstance(engine.structure, ModalStructure):
         scatter = own_scatter(engine.structure.error)
         nearly = NEARLY if engine.structure.error > 0 else 0.0
     usable = gate.usable
-    kept = set() if held_out or len(usable) < 2 else _kept_back(usable)
+    kept = set() if held_out or len(usable) < 2 else kept_back(usable)
     train = [o for i, o in enumerate(usable) if i not in kept]
     test = list(held_out) or [usable[i] for i in sorted(kept)]
     if isinstance(engine.structure, ModalStructure):
@@ -82,9 +82,11 @@ def nonlinear_first(
         train = [_mended(o, rest.named) for o in train]
         test = [_mended(o, rest.named) for o in test]
         second = answer(engine, train, test, places, scatter, limits, band, progress, (), (), nearly)
+        if second is not None and second.reason == UNCONFIRMED:
+            return None  # the channel made the signs; what is left of them no law explains
         if second is not None and second.misfit < found.misfit:
             found = second
-    signs = _nonlinear(observations)
+    signs = nonlinear_signs(observations)
     return merged(found, rest, gate.named, signs, observations)
 
 
@@ -103,20 +105,21 @@ def merged(
     """One diagnosis: what the gates found, the nonlinear law, then what the linear search names beside it."""
     beside = rest.named if found.named and rest.verdict in ("missing-physics", "measurement-fault") else ()
     named = (*gated, *found.named, *beside)
-    if not found.named and rest.verdict == "measurement-fault":
-        named = (*gated, *rest.named)
     verdict = "missing-physics" if found.named else "unexplained"
+    if not found.named and rest.verdict == "measurement-fault":
+        verdict, named = "measurement-fault", (*gated, *rest.named)
     if found.reason == KNOWN:
         verdict, named, beside = rest.verdict, (*gated, *rest.named), rest.named
     if gated:
         verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
-    place = named[0].place if gated or found.named else rest.place if found.reason == KNOWN else found.place
+    place = named[0].place if gated or named else rest.place if found.reason == KNOWN else found.place
     detail = {**rest.detail, "nonlinear": found, "reason": found.reason}
     nonlinear = {**signs, "levels": [float(o.level) for o in observations]}
+    source = rest if verdict == "measurement-fault" and not found.named else found
     shown = replace(
         rest, verdict=verdict, named=named if verdict != "unexplained" else (), place=place,
-        alternatives=found.alternatives, located=found.located, base_error=found.base_error,
-        extended_error=found.extended_error, nonlinear=nonlinear, detail=detail,
+        alternatives=source.alternatives, located=source.located, base_error=source.base_error,
+        extended_error=source.extended_error, nonlinear=nonlinear, detail=detail,
     )  # fmt: skip
     return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
 
