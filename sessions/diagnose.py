@@ -146,7 +146,7 @@ def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
     else:
         tables["damping"] = {"kind": "modal", "ratio": ratios}
     damped = replace(model, raw=tables)
-    write_updated(path, damped, d.detail["final"].point.theta, _entries(d, path.parent))
+    write_updated(path, damped, d.detail["final"].point.theta, [*_entries(d, path.parent), *_kept_laws(d, model)])
 
 
 def write_updated(path: Path, model: Model, theta: np.ndarray, entries: Sequence[Mapping[str, Any]]) -> None:

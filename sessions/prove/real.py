@@ -15,7 +15,7 @@ from labnnum.recording import Recording
 from sessions.exchange import read_any
 from sessions.prove.real_f16 import f16
 from sessions.prove.real_figures import record_figure
-from sessions.prove.rows import Row, said
+from sessions.prove.real_rows import Row, said
 
 SETS = ("silverbox", "f16", "friction_damper")
 """Recordings that are run, folders of the recordings' directory."""

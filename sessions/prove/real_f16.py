@@ -16,7 +16,7 @@ from labnnum.errors import EstimationError
 from labnnum.peaks import peak
 from labnnum.structures.modal import ModalStructure
 from sessions.prove.real_figures import levels_figure
-from sessions.prove.rows import Row, said
+from sessions.prove.real_rows import Row, said
 
 LEVELS, HELD = (1, 3, 7), 5
 """Levels that are fitted to and the one that no fit sees."""

@@ -21,7 +21,7 @@ from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, of_known, refined, search
+from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, base_again, of_known, refined, search
 from labnnum.diagnosis.nonlinear.timing import Timed, timing, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -133,7 +133,7 @@ def answer(
     tried = refined(found, scatter, _rivals(found, every, scatter))
     if not tried:
         return None
-    found = replace(found, tried=tuple(tried))
+    found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
     laws = _chain(found, every, train, test, scatter, limits, progress)
     more = records(others, span, runs[0].miss) if nearly and not whole else []
     if more:

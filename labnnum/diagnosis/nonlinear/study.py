@@ -344,7 +344,18 @@ def at_places(
     return out
 
 
-def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 350, most: int = 2) -> list[Tried]:
+FINE = 350
+"""Lines of a run on which the best laws are told apart, and their gain over the base is judged."""
+
+
+def base_again(study: Study, scatter: Scatter, lines: int = FINE) -> Made:
+    """The base fitted to as many lines as the best laws are: gains are differences on the same data."""
+    chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
+    plain = Joint(study.engine, study.point, study.runs, (), scatter, chosen)
+    return fit(plain, study.base.x, [None] * len(study.runs), steps=6)
+
+
+def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = FINE, most: int = 2) -> list[Tried]:
     """All candidates, best first, the `most` best fitted on more lines so that near ones are told apart.
 
     Costs of the others are raised by what the best's own rose with the lines: they stay comparable.

@@ -1,0 +1,221 @@
+"""The decision: from a selection of mechanisms to a verdict, and everything that supports it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import Data, Fit, Scatter
+from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
+from labnnum.diagnosis.words import next_experiment, summarise
+from labnnum.frf import Frf
+from labnnum.mechanisms.base import Place, Term
+
+if TYPE_CHECKING:
+    pass
+from labnnum.diagnosis.prediction import errors_of, predicted, relative_error, trimmed
+from labnnum.diagnosis.runs import nonlinear_signs
+from labnnum.diagnosis.worth import alarmed, improves, missing, one_law, worthwhile
+
+
+def same_answer(a: Term, b: Term) -> bool:
+    """Whether two terms are one answer: the same mechanism at the same place, whatever the variant."""
+    return a.mechanism.id == b.mechanism.id and a.place == b.place
+
+
+def decide(
+    engine: Engine, train: Frf, test: Frf, selection: Selection, scatter: Scatter, limits: Limits,
+    observations: Sequence[Observation], general: Sequence[Term], gated: tuple[Named, ...] = (),
+) -> Diagnosis:  # fmt: skip
+    """The diagnosis that a selection ends in.
+
+    Parameters
+    ----------
+    train, test : Frf
+        What was fitted, and what no fit saw.
+    selection : Selection
+    observations : sequence of Observation
+    general : sequence of Term
+        The unnamed laws, for the report.
+    gated : tuple of Named
+        What was named before any fit.
+    """
+    base = selection.chain[0]
+    stage = selection.stages[0] if selection.stages else ()
+    data = data_of(choose_lines(train), scatter)
+    lines = choose_lines(train, 400)  # here every peak must be met, whatever the number of rows
+    measured = all(o.kind != "frf" for o in observations)
+    plain_base = trimmed(engine, lines, base.fit, scatter)
+    base_error = errors_of(engine, plain_base, train, test)
+    selection = alarmed(selection, limits, data, base_error[1])
+    selection, plain_final, extended_error = worthwhile(
+        engine,
+        lines,
+        data,
+        selection,
+        limits,
+        scatter,
+        (plain_base, base_error),
+        lambda made: errors_of(engine, made, train, test),
+    )
+    final = selection.chain[-1]
+    verdict, named, reason = _verdict(selection, limits, data, measured)
+    if named and not improves(selection, len(named), limits, data, base_error[1], extended_error[1]):
+        verdict, named, reason = (
+            "unexplained",
+            (),
+            f"the best name, {named[0].term.mechanism.id} at {named[0].place},"
+            " does not improve the prediction of data held out enough",
+        )
+    if len(named) > 1 and one_law(engine, lines, selection, limits, scatter, data, train, test, extended_error[1]):
+        verdict, named, reason = (
+            "unexplained",
+            (),
+            "one law at one place, which has no name, predicts as well as several",
+        )
+    if verdict == "unexplained" and not missing(engine, lines, selection, limits, scatter, data, train, test,
+                                                 base_error, extended_error, measured):  # fmt: skip
+        verdict = "consistent"
+    located = _located(selection)
+    noise = float(np.sqrt(np.mean(np.sum(test.variance, axis=2) / np.sum(np.abs(test.value) ** 2, axis=2))))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    if verdict == "consistent" and measured and base_error[1] > max(limits.sound, 3 * noise):
+        verdict = "unexplained"
+        reason = f"the updated model misses the data held out by {base_error[1]:.0%}, and nothing tried explains it"
+    if gated:
+        named = (*gated, *named)
+        verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
+    place = named[0].place if named else None
+    if verdict == "unexplained":
+        place = _best_place(selection)
+    alternatives = _alternatives(engine, stage, final, test, limits, named)
+    source = final if named else base
+    n = engine.theta0.size
+    std = np.sqrt(np.diag(source.fit.covariance)[:n])
+    if verdict == "consistent" and _moved(engine, base.fit):
+        verdict = "parameters"
+    if len(named) == len(gated):
+        extended_error = base_error
+    detail = {
+        "engine": engine, "data": data, "train": train, "test": test, "base": plain_base,
+        "final": plain_final if named else plain_base, "selection": selection, "general": general, "reason": reason,
+        "bayes": source.fit, "base_bayes": base.fit,
+    }  # fmt: skip
+    nonlinear = nonlinear_signs(observations)
+    shown = Diagnosis(
+        verdict, named, place, alternatives, located, 1.0 / max(len(train.outputs) * len(train.inputs), 1), base_error,
+        extended_error, noise, nonlinear, "", "", source.fit.point.theta, std,
+        np.exp(source.fit.point.log_zeta), detail,
+    )  # fmt: skip
+    return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
+
+
+def _moved(engine: Engine, made: Fit) -> bool:
+    """Whether the data asked for parameters other than nominal, beyond two of their standard deviations."""
+    n = engine.theta0.size
+    std = np.sqrt(np.diag(made.covariance)[:n])
+    return bool(np.any(np.abs(made.point.theta - engine.theta0) > 2 * std))
+
+
+def _verdict(
+    selection: Selection, limits: Limits, data: Data, measured_noise: bool
+) -> tuple[str, tuple[Named, ...], str]:
+    base, final = selection.chain[0], selection.chain[-1]
+    if len(selection.chain) == 1:
+        return "consistent", (), "no term gains more than a sound structure's scatter"
+    stage, best = selection.stages[0], selection.chain[1]
+    excess = dispersion(best.fit, data)
+    total = (base.fit.objective - min(final.fit.objective, best.fit.objective)) / excess
+    lead = _lead(stage, best) / excess
+    law = selection.general
+    if law is not None and len(selection.chain) == 2:
+        if (best.cost - law.cost) / max(excess, 1.0) > max(limits.alarm, limits.behind * total):
+            return "unexplained", (), "a general law at one place explains far more than any named mechanism"
+    elif law is not None and (final.cost - law.cost) / max(excess, 1.0) > limits.name:
+        return "unexplained", (), "one law at one place, which has no name, explains it better than several that have"
+    left = final.fit.objective / (2 * data.value.size)
+    if measured_noise and left > limits.misfit and final.fit.objective > limits.remains * base.fit.objective:
+        return "unexplained", (), "what the best mechanism leaves is far more than noise"
+    answers = [(c.last.mechanism.id, c.last.place) for c in selection.chain[1:]]
+    if len(set(answers)) < len(answers):
+        return "unexplained", (), "it takes one mechanism twice at one place: the law there is another"
+    whole = {node for _, p in answers for node in (p.id, p.to) if node is not None}
+    if len(answers) > 2 and len(whole) == 2 and all(p.kind != "channel" for _, p in answers):
+        return "unexplained", (), "it takes several mechanisms between two nodes: the law there is another"
+    if lead < limits.name and len(selection.chain) == 2:
+        return "unexplained", (), "two mechanisms explain it equally well"
+    named = []
+    for i, candidate in enumerate(selection.chain[1:]):
+        rivals = selection.stages[i]
+        named.append(_named(final.fit, i + len(base.terms), _confidence(rivals, candidate)))
+    verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
+    return verdict, tuple(named), ""
+
+
+def _lead(stage: Sequence[Candidate], best: Candidate) -> float:
+    """How far the best stands before the next at another place."""
+    others = [c.cost for c in stage if c.last.place != best.last.place]
+    return min(others) - best.cost if others else np.inf
+
+
+def _confidence(stage: Sequence[Candidate], best: Candidate) -> float:
+    """Posterior share of the best among all fitted candidates, each weighing exp(-cost / 2)."""
+    answers: dict[tuple[str, Place], float] = {}
+    for c in stage:
+        key = (c.last.mechanism.id, c.last.place)
+        answers[key] = min(answers.get(key, np.inf), c.cost)
+    mine = answers[(best.last.mechanism.id, best.last.place)]
+    weights = np.exp(-np.clip((np.array(list(answers.values())) - mine) / 2, -50, 700))
+    return float(1.0 / weights.sum())
+
+
+def _named(made: Fit, i: int, confidence: float) -> Named:
+    first = made.n_theta + sum(t.n for t in made.terms[:i])
+    term = made.terms[i]
+    at = slice(first, first + term.n)
+    return Named(term, made.point.vector()[at], np.sqrt(np.diag(made.covariance)[at]), confidence)
+
+
+def _best_place(selection: Selection) -> Place | None:
+    law = selection.general
+    if len(selection.chain) < 2:
+        found = _located(selection)
+        return found[0][0] if found else None
+    best = selection.chain[1]
+    if law is not None and law.cost < best.cost:
+        return law.last.place
+    return best.last.place
+
+
+def _located(selection: Selection) -> tuple[tuple[Place, float], ...]:
+    """Places by the share of the base's objective that the best term there removes."""
+    total = selection.chain[0].fit.objective
+    rows = [(p, max(g, 0.0) / total) for p, g in selection.gains.items()]
+    return tuple(sorted(rows, key=lambda row: -row[1])[:10])
+
+
+def _alternatives(
+    engine: Engine, stage: Sequence[Candidate], final: Candidate, test: Frf, limits: Limits, named: Sequence[Named]
+) -> tuple[Alternative, ...]:
+    out: list[Alternative] = []
+    if not stage:
+        return ()
+    best = stage[0]
+    for c in stage:
+        if any(same_answer(c.last, n.term) for n in named) or any(same_answer(c.last, a.term) for a in out):
+            continue
+        gap = c.cost - best.cost
+        error = relative_error(test.value, predicted(engine, c.fit, test))
+        if gap < limits.name:
+            why = f"explains the data as well as {best.last.mechanism.id} at {best.last.place} (chi-square + {gap:.1f})"
+        else:
+            why = f"leaves {gap:.0f} more in chi-square than {best.last.mechanism.id} at {best.last.place}"
+        out.append(Alternative(c.last, error, c.cost, why))
+        if len(out) == 6:
+            break
+    return tuple(out)

@@ -1,0 +1,105 @@
+"""How a fitted model predicts: trimmed as it would be used, on lines and channels that it need not have seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import Fit, Scatter, fit
+from labnnum.diagnosis.linear import data_of
+from labnnum.diagnosis.point import Point
+from labnnum.diagnosis.search import broaden
+from labnnum.frf import Frf
+from labnnum.mechanisms.base import Term
+
+if TYPE_CHECKING:
+    pass
+
+
+def relative_error(measured: NDArray, model: NDArray) -> float:
+    """Relative RMS error over lines, root mean square over rows."""
+    m = measured.reshape(-1, measured.shape[-1])
+    e = (measured - model).reshape(m.shape)
+    return float(np.sqrt(np.mean(np.sum(np.abs(e) ** 2, axis=1) / np.sum(np.abs(m) ** 2, axis=1))))
+
+
+def errors_of(engine: Engine, made: Fit, train: Frf, test: Frf) -> tuple[float, float]:
+    """Relative errors of a fitted model on the training and on the held-out FRFs."""
+    return tuple(relative_error(f.value, predicted(engine, made, f)) for f in (train, test))  # type: ignore[return-value]
+
+
+def predicted(engine: Engine, made: Fit, frf: Frf) -> NDArray[np.complex128]:
+    """FRFs of a fitted model on the lines and channels of `frf`, which need not be those it was fitted to."""
+    s = float(frf.settings.get("window_decay", 0.0)) + 1j * frf.omega
+    point = made.point
+    if [c.name for c in frf.inputs] != [c.name for c in engine.inputs] or len(frf.outputs) != len(engine.outputs):
+        other = Engine(engine.structure, frf.outputs, frf.inputs, engine.band)
+        terms, values = _carried_over(engine, other, made)
+        point = replace(point, terms=values, size=np.zeros_like(point.size))
+        return other.response(point, terms, s).value
+    return engine.response(point, made.terms, s).value
+
+
+def _carried_over(engine: Engine, other: Engine, made: Fit) -> tuple[tuple[Term, ...], NDArray]:
+    """Terms and their values for other channels: a channel's fault goes where the channel goes, or is left out."""
+    old = [c.name for c in (*engine.outputs, *engine.inputs)]
+    new = [c.name for c in (*other.outputs, *other.inputs)]
+    terms, values, at = [], [], 0
+    for term in made.terms:
+        p = made.point.terms[at : at + term.n]
+        at += term.n
+        if "channel" in term.data:
+            name = old[term.data["channel"]]
+            if name not in new:
+                continue
+            term = replace(term, data={"channel": new.index(name)})
+        elif term.data.keys() & {"swap", "invert", "extra_mode"}:
+            continue
+        terms.append(term)
+        values.append(p)
+    return tuple(terms), np.concatenate([np.empty(0), *values])
+
+
+def trimmed(engine: Engine, frf: Frf, made: Fit, scatter: Scatter) -> Fit:
+    """The same model as it would be used: parameters, damping, terms as they are, weighted evenly in relative error.
+
+    Its modal frequencies and loads may move within two standard deviations of what a sound model needs, no further.
+    """
+    use = replace(scatter, trim=2.0, damping=2.0)
+    data = data_of(frf, replace(scatter, floor=0.03))
+    terms = _fixed(made)
+    none = np.zeros_like(made.point.shift)
+    starts = [made.point, replace(made.point, shift=none, size=none)]
+    starts.append(replace(starts[1], theta=engine.theta0))
+    found = [replace(made, terms=terms, point=_within(made.point, use))]
+    for start in starts:
+        rough = start.vector()
+        for kappa in (0.015, 0.004):
+            rough = fit(engine, broaden(engine, data, start, terms, kappa), terms, use, rough, steps=8).point.vector()
+        found += [fit(engine, data, terms, use, x, steps=25) for x in (start.vector(), rough)]
+    return min(found, key=lambda f: relative_error(frf.value, predicted(engine, f, frf)))
+
+
+def _within(point: Point, use: Scatter) -> Point:
+    """The point, its modal frequencies and loads within what a sound model needs."""
+    reach = use.trim * np.array([use.frequency, use.residue])
+    return replace(
+        point, shift=np.clip(point.shift, -reach[0], reach[0]), size=np.clip(point.size, -reach[1], reach[1])
+    )
+
+
+def _fixed(made: Fit) -> tuple[Term, ...]:
+    """The fit's terms with their parameters held at the fitted values."""
+    out, at = [], 0
+    for term in made.terms:
+        held = []
+        for q, v in zip(term.parameters, made.point.terms[at : at + term.n], strict=True):
+            reach = 1e-12 * max(abs(v), 1e-300)
+            held.append(replace(q, lower=v - reach, upper=v + reach, nominal=v))
+        out.append(replace(term, parameters=tuple(held)))
+        at += term.n
+    return tuple(out)

@@ -1,0 +1,133 @@
+"""What a chain of mechanisms is worth: when it is an alarm, which of them stay, what is missing without a name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.linear import Candidate, Selection, dispersion, settled
+from labnnum.diagnosis.verdict import Limits
+from labnnum.frf import Frf
+
+if TYPE_CHECKING:
+    pass
+from labnnum.diagnosis.prediction import errors_of, trimmed
+
+
+def improves(
+    selection: Selection, n: int, limits: Limits, data: Data, base_error: float, extended_error: float
+) -> bool:
+    """Whether `n` names are worth it: the prediction is better, or a misfit that no sound model has is gone.
+
+    A fault of a few lines, such as an appendage's notch, hardly shows in an error over all lines.
+    """
+    if extended_error <= limits.improve**n * base_error:
+        return True
+    base, final = selection.chain[0].fit, selection.chain[-1].fit
+    evident = base.objective > limits.misfit * 2 * data.value.size and settled(final, data, limits)
+    return evident and extended_error <= 1.05 * base_error
+
+
+def one_law(
+    engine: Engine, lines: Frf, selection: Selection, limits: Limits, scatter: Scatter, data: Data, train: Frf,
+    test: Frf, error: float,
+) -> bool:  # fmt: skip
+    """Whether one unnamed local law explains the data, and predicts nearly as well as several names do."""
+    law = selection.general
+    if law is None or not law.last.groups or not settled(law.fit, data, limits):
+        return False
+    return error > limits.improve_further * errors_of(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1]
+
+
+def alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
+    """The selection without its chain where the first gain is too small for how well the base predicts already.
+
+    What a sound model leaves of the data is smooth, and some mechanism always explains a part of it: that gain is
+    discounted where the base predicts well. What the base had to ask of modal frequencies and loads counts in full.
+    """
+    if len(selection.chain) < 2:
+        return selection
+    base, first = selection.chain[:2]
+    asked = max(base.fit.prior_part - first.fit.prior_part, 0.0)
+    smooth = (base.cost - first.cost - asked) / max(dispersion(first.fit, data), 1.0)
+    enough = smooth / max(1.0, limits.plain / max(error, 1e-9)) + asked >= limits.alarm
+    return selection if enough else replace(selection, chain=(base,))
+
+
+def worthwhile(
+    engine: Engine, lines: Frf, data: Data, selection: Selection, limits: Limits, scatter: Scatter,
+    base: tuple[Fit, tuple[float, float]], errors: Callable[[Fit], tuple[float, float]],
+) -> tuple[Selection, Fit, tuple[float, float]]:  # fmt: skip
+    """The chain as far as its mechanisms improve the prediction; its model as used, and its errors.
+
+    What one mechanism began a later one may show. Then those go without which the rest predicts as well: the first
+    that came may have stood in for those after it.
+    """
+    before, kept = selection.chain[0], 0
+    plain, error = base
+    tried = [(c, trimmed(engine, lines, c.fit, scatter)) for c in selection.chain[1:]]
+    for i, (_, made) in enumerate(tried):
+        told = errors(made)
+        if i and told[1] > min(
+            limits.improve_further ** (i + 1 - kept) * error[1], limits.improve ** (i + 1) * base[1][1]
+        ):
+            continue
+        kept, plain, error = i + 1, made, told
+    stages: tuple[tuple[Candidate, ...], ...] = selection.stages[: max(kept, 1)]
+    last = selection.chain[kept]
+    while kept and len(stages) > 1:
+        leaner = [_without(engine, data, last, len(before.terms) + i, scatter) for i in range(len(stages))]
+        used = [trimmed(engine, lines, c.fit, scatter) for c in leaner]
+        left = [errors(made) for made in used]
+        i = min(range(len(left)), key=lambda k: left[k][1])
+        if left[i][1] > 1.1 * error[1]:
+            last, stages = _foremost(last, len(before.terms), stages, [t[1] for t in left])
+            break
+        last, plain, error = leaner[i], used[i], left[i]
+        stages = (*stages[:i], *stages[i + 1 :])
+    steps = [replace(last, terms=last.terms[: len(before.terms) + i + 1]) for i in range(len(stages) - 1)]
+    return replace(selection, chain=(before, *steps, last) if kept else (before,), stages=stages), plain, error
+
+
+def _foremost(
+    last: Candidate, n: int, stages: Sequence[tuple[Candidate, ...]], without: Sequence[float]
+) -> tuple[Candidate, tuple[tuple[Candidate, ...], ...]]:
+    """The last model with its new terms, those after the first `n`, ordered: what is missed most comes first."""
+    order = [*range(n), *(n + i for i in sorted(range(len(without)), key=lambda i: -without[i]))]
+    sizes = np.cumsum([0, *(t.n for t in last.terms)])
+    pick = np.concatenate([np.arange(sizes[i], sizes[i + 1]) for i in order]).astype(int)
+    first = last.fit.point.theta.size
+    every = np.arange(last.fit.covariance.shape[0])
+    every[first : first + pick.size] = first + pick
+    terms = tuple(last.terms[i] for i in order)
+    point = replace(last.fit.point, terms=last.fit.point.terms[pick])
+    made = replace(last.fit, terms=terms, point=point, covariance=last.fit.covariance[np.ix_(every, every)])
+    return replace(last, terms=terms, fit=made), tuple(stages[i - n] for i in order[n:])
+
+
+def _without(engine: Engine, data: Data, last: Candidate, which: int, scatter: Scatter) -> Candidate:
+    """The last model without one of its terms, fitted anew."""
+    sizes = np.cumsum([0, *(t.n for t in last.terms)])
+    terms = (*last.terms[:which], *last.terms[which + 1 :])
+    point = replace(last.fit.point, terms=np.delete(last.fit.point.terms, np.arange(sizes[which], sizes[which + 1])))
+    return Candidate(terms, fit(engine, data, terms, scatter, point.vector(), steps=25), last.cost)
+
+
+def missing(
+    engine: Engine, lines: Frf, selection: Selection, limits: Limits, scatter: Scatter, data: Data, train: Frf,
+    test: Frf, base_error: tuple[float, float], extended_error: tuple[float, float], measured: bool,
+) -> bool:  # fmt: skip
+    """Whether something is missing though it has no name: the base is far off, or some extension predicts better."""
+    if measured and selection.chain[0].fit.objective > limits.misfit * 2 * data.value.size:
+        return True
+    if extended_error[1] < limits.doubt * base_error[1]:
+        return True
+    law = selection.general
+    if law is None:
+        return False
+    return errors_of(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1] < limits.doubt * base_error[1]
