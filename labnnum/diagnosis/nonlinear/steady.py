@@ -183,7 +183,7 @@ class Steady:
                 scale = np.linalg.norm(one.time) + 1e-300
                 if not np.isfinite(change).all() or np.linalg.norm(time - one.time) > 3 * scale:
                     start, time, inverse = one.state, one.time, None  # too far for Newton: march on
-            closing = float(np.linalg.norm(time - orbit.time) / (np.linalg.norm(time) + 1e-300))
+            closing = _relative(time - orbit.time, time)
             if chord and closing > 0.3 * orbit.closing:
                 inverse = None  # the chord has worn out
             x, f, memory = _parts(start, m, self.k)
@@ -259,7 +259,7 @@ class Steady:
         whole = one.slopes[:, :, :n] + one.slopes[:, :, n:] @ closing[:, :-1]
         time = one.time + one.slopes[:, :, n:] @ closing[:, -1]
         x, f, memory = _parts(_state(orbit) + closing[:, -1], made.w.shape[1], self.k)
-        rel = float(np.linalg.norm(time - orbit.time) / (np.linalg.norm(time) + 1e-300))
+        rel = _relative(time - orbit.time, time)
         new = replace(
             orbit, force=self.to_lines(time), time=time, motion=one.motion, closing=rel, x=x, f=f, memory=memory,
             floquet=phi, inverse=inverse,
@@ -281,7 +281,7 @@ class Steady:
         if not (np.isfinite(one.slopes).all() and np.isfinite(one.time).all()):
             raise EstimationError("the response does not settle")
         x, f, memory = _parts(one.state, m, self.k)
-        change = np.linalg.norm(one.time - orbit.time) / (np.linalg.norm(one.time) + 1e-300)
+        change = _relative(one.time - orbit.time, one.time)
         new = Orbit(x, f, memory, self.to_lines(one.time), one.time, one.motion, float(change), one.bad)
         moved = np.moveaxis(self.to_lines(one.slopes), 1, 0)[..., r.lines]
         if ds is None:
@@ -397,3 +397,11 @@ class _Marched:
     end: NDArray
     slopes: NDArray
     bad: int
+
+
+def _relative(change: NDArray, whole: NDArray) -> float:
+    """Norm of a change over that of the whole; infinite where there is no whole to speak of."""
+    part, size = float(np.linalg.norm(change)), float(np.linalg.norm(whole))
+    if part == 0.0:
+        return 0.0
+    return part / size if size > 1e-12 * part else float("inf")
