@@ -203,6 +203,12 @@ RIVAL = 0.8
 """Part of what a general law removes at the best place that it must remove at another for the law to be tried there."""
 
 
+USELESS = "the best nonlinear law does not improve the prediction of data held out"
+"""The reason where distortion stands above the noise, and no law helps to predict."""
+GAINS = 0.9
+"""Part of the base's held-out error below which a law must bring it, however near the noise that is."""
+
+
 def _decide(
     found: Study, laws: Sequence[Tried], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
     limits: Limits, whole: Sequence[Observation] = (), enough: float = 0.1, timed: Sequence[Timed] = (),
@@ -235,7 +241,9 @@ def _decide(
         and extended_error[1] > limits.improve * base_error[1]
         and extended_error[1] > 3 * _noise(test or train)
     ):
-        reason = "the best nonlinear law does not improve the prediction of data held out"
+        reason = USELESS
+    if not reason and extended_error[1] > GAINS * base_error[1]:
+        reason = USELESS
     named = () if reason else _all_named(laws, best, rivals)
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):

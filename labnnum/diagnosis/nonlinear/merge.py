@@ -10,7 +10,7 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
-from labnnum.diagnosis.nonlinear.answer import KNOWN, UNCONFIRMED, NonlinearAnswer, answer
+from labnnum.diagnosis.nonlinear.answer import KNOWN, UNCONFIRMED, USELESS, NonlinearAnswer, answer
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -74,6 +74,11 @@ def nonlinear_first(
     found = answer(engine, train, test, places, scatter, limits, band, progress, usable, known, nearly)
     if found is None or found.reason == UNCONFIRMED:
         return None
+    if not found.named and found.reason != KNOWN:
+        plain = again(observations, held_out)  # what one linear mechanism explains needs no law that has no name
+        sound = plain.verdict in ("consistent", "parameters") and found.reason == USELESS
+        if plain.named or sound or any(o.run is None for o in train):
+            return plain
     progress("searching for linear physics beside it")
     explained = (bool(found.named) or found.reason == KNOWN) and found.misfit < EXPLAINED
     rest = again(found.linearised, found.linearised_held_out, **({"catalogue": ()} if explained else {}))
