@@ -196,7 +196,7 @@ def _rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
     own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
     near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
-    return at_places(found, best, near, scatter, most=2)
+    return at_places(found, best, near[:3], scatter)
 
 
 RIVAL = 0.8

@@ -38,7 +38,7 @@ def further(
     chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     held = first.made.terms
     joint = Joint(engine, point, runs, held, scatter, chosen)
-    made = fit(joint, first.made.x, first.made.orbits, steps=2, exact=False)
+    made = fit(joint, first.made.x, first.made.orbits, steps=2)
     background = Background(joint, made.x, made.orbits)
     here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
     found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])
@@ -56,7 +56,7 @@ def further(
         x = np.concatenate([base, np.zeros(m), laws, lead.p[: lead.acting().n]])
         start = [_with_one_more(o) for o in made.orbits]
         try:
-            one = fit(more, x, start, steps=8, exact=False)
+            one = fit(more, x, start, steps=8)
         except (EstimationError, np.linalg.LinAlgError):
             continue
         tried = Tried(lead, one, cost(one, lead.mechanism))
