@@ -1,10 +1,10 @@
 """Laws fitted along the motion that the measurement shows, before anything is marched.
 
 The motion at a law's place follows from the base model and the measured responses (`locate.recover`), and with it the
-force of the law: the response to that force and to the input is compared with the measured one (the equation error of
-Ljung 1999, chapter 7.4). No steady state is sought, nothing can fail to settle, and the objective is smooth in the law's
-parameters and in the base model's, which are free beside them. A fit by simulation that begins here begins near its end,
-and on the branch of the response on which the structure was.
+force of the law: the response to that force and to the input is compared with the measured one (the equation error
+of Ljung 1999, chapter 7.4). No steady state is sought, nothing can fail to settle, and the objective is smooth in the
+law's parameters and in the base model's, which are free beside them. A fit by simulation that begins here begins near
+its end, and on the branch of the response on which the structure was.
 """
 
 from __future__ import annotations

@@ -189,7 +189,7 @@ def recover(
 def motion_of(
     run: Run, r: Receptance, orbit: Orbit | None = None
 ) -> tuple[NDArray, NDArray, NDArray, tuple[NDArray, float, float]]:
-    """Motion, speed and force (n,) at the first place of a receptance as the run shows them, n = `FINE` periods' samples.
+    """Motion, speed and force (n,) at the first place of a receptance as the run shows them, `FINE` times its samples.
 
     Forces at its other places are known from `orbit`. Last the force's spectrum, and the power on detection lines that
     it explains and that there is, over noise.

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.frf import MOTION_ORDER
 
-
 RIGID = 0.05
 """Frequency, in units of the lowest line's, below which a mode is that of a rigid body."""
 

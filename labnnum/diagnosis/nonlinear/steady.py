@@ -32,7 +32,7 @@ SINGULAR = 1e-9
 
 
 STALLED, ON = 0.6, 2
-"""A step of Newton's method that closes less than this part of the gap is followed by so many periods of plain march."""
+"""Part of the gap that a step of Newton's method must not leave open, or so many periods are marched after it."""
 
 
 @dataclass(frozen=True, eq=False)
