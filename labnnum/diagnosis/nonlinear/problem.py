@@ -53,7 +53,7 @@ EXACT = 30
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """Where a fit ended."""
+    """Where a fit ended; `n_base` entries of `x` are the base's, `bare` of them not of the laws' places."""
 
     x: NDArray[np.float64]
     objective: float
@@ -63,6 +63,7 @@ class Made:
     orbits: tuple[Orbit | None, ...]
     terms: tuple[Acting, ...]
     n_base: int
+    bare: int
     count: int
     converged: bool
 
@@ -80,6 +81,7 @@ class Joint:
         self, engine: Engine, point: Point, runs: Sequence[Run], terms: Sequence[Acting], scatter: Scatter,
         lines: Sequence[Lines], whole: bool = False,
     ) -> None:  # fmt: skip
+        self.point = point
         self.engine, self.runs, self.terms, self.scatter, self.lines = engine, tuple(runs), tuple(terms), scatter, lines
         n = engine.basis.shape[0]
         columns = np.array([t.column for t in terms]).T.reshape(n, len(terms))
@@ -362,7 +364,17 @@ def fit(
     covariance = inverse * np.outer(scale, scale)
     price = joint.price(x)
     return Made(
-        x, value, value - price, price, covariance, tuple(orbits), joint.terms, joint.n_base, int(r.size), converged
+        x,
+        value,
+        value - price,
+        price,
+        covariance,
+        tuple(orbits),
+        joint.terms,
+        joint.n_base,
+        joint.n_base - joint.k * joint.engine.band_modes.size,
+        int(r.size),
+        converged,
     )
 
 
