@@ -21,7 +21,7 @@ def exact(frequency):
 
 
 def record(kind, noise=1e-3, seed=1):
-    """A stretch of the response to noise that began long before, or of a sweep from rest that still rings at its end."""
+    """Response to a stretch of noise that began long before, or to a sweep from rest, still ringing at its end."""
     rng = np.random.default_rng(seed)
     total = 4 * N
     line = np.fft.rfftfreq(total, 1 / RATE)
