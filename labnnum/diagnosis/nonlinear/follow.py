@@ -23,10 +23,12 @@ from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.locate import motion_of, window_of
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
-from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
+from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Orbit
 
+SLOW = 0.05
+"""Speed, of its RMS in the fastest run, below which a dry contact may be at rest."""
 NUDGE = 1e-4
 """Relative change of a law's parameter for its slope."""
 
@@ -35,7 +37,8 @@ class Followed(Joint):
     """The objective of `Joint` with one law, its force taken along the recovered motion instead of a simulated one.
 
     Spectra of open runs are compared through their window. Orbits hold the force as it is compared in `force`, that
-    without a window in `time`, and the recovered motion in `motion`, on `locate.FINE` samples to one of the run.
+    without a window in `time`, and the recovered motion, speed and force in `motion`, on
+    `locate.FINE` samples to one of the run.
     """
 
     def __init__(
@@ -44,6 +47,7 @@ class Followed(Joint):
         seen = [replace(r, u=r.seen(r.u), y=r.seen(r.y), open=False) if r.open else r for r in runs]
         super().__init__(engine, point, seen, (term,), scatter, [Lines(a.at, a.sigma) for a in lines])
         self.measured = tuple(runs)
+        self.slow = 0.0
         self.all_lines: dict[Any, Base] = {}
         for key in {r.key for r in runs}:
             period, rate, decay = key
@@ -54,17 +58,21 @@ class Followed(Joint):
         """The recovered motion at `x` and the law's force along it."""
         p = self.laws(x)[0]
         made = {key: b.at(x[: self.n_base]) for key, b in self.all_lines.items()}
-        return [self._orbit(run, made[run.key], p) for run in self.measured]
+        seen = [motion_of(run, made[run.key])[:3] for run in self.measured]
+        self.slow = SLOW * max(float(np.sqrt(np.mean(v**2))) for _, v, _ in seen)
+        return [self._orbit(run, m, p) for run, m in zip(self.measured, seen, strict=True)]
 
-    def _orbit(self, run: Run, r: Receptance, p: NDArray) -> Orbit:
-        z, v, _, _ = motion_of(run, r)
-        force = self._force(run, z, v, p)
+    def _orbit(self, run: Run, seen: tuple[NDArray, NDArray, NDArray], p: NDArray) -> Orbit:
+        force = self._force(run, *seen, p)
         none = np.zeros((2, 0)), np.zeros(1), np.zeros((1, 2))
         return Orbit(
-            *none, self._spectrum(run, force)[None], force[:, None], np.stack([z, v], axis=-1)[:, None], closing=0.0
+            *none, self._spectrum(run, force)[None], force[:, None], np.stack(seen, axis=-1)[:, None], closing=0.0
         )
 
-    def _force(self, run: Run, z: NDArray, v: NDArray, p: NDArray) -> NDArray[np.float64]:
+    def _force(self, run: Run, z: NDArray, v: NDArray, f: NDArray, p: NDArray) -> NDArray[np.float64]:
+        """The law's force on the structure; what holds a dry contact that does not move is any force up to its limit."""
+        if self.terms[0].shape.law == "coulomb":
+            return np.where(np.abs(v) > self.slow, -p[0] * np.sign(v), np.clip(f, -p[0], p[0]))
         return -force_along(self.terms[0].shape, z, v, p, around=run.lasting)
 
     @staticmethod
@@ -85,13 +93,13 @@ class Followed(Joint):
             here = r.index(lines.at)
             change = dp[:, :, here] * (r.gain * shown.u)[lines.at]
             change = change + dh[:, :, 0][..., here] * orbit.force[0, lines.at]
-            z, v = orbit.motion[:, 0, 0], orbit.motion[:, 0, 1]
+            z, v, f = orbit.motion[:, 0].T
             through = []
             for i in range(n):
                 step = np.zeros(N_P)
                 scale = self.scale[self.n_base + i]
                 step[i] = NUDGE * max(abs(p[i]), 1e-3 * scale)
-                moved = self._spectrum(run, self._force(run, z, v, p + step) - orbit.time[:, 0])[lines.at]
+                moved = self._spectrum(run, self._force(run, z, v, f, p + step) - orbit.time[:, 0])[lines.at]
                 through.append(r.h[:, 0, here] * moved * (scale / step[i]))
             change = np.concatenate([change, np.array(through)])
             out.append(self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)))

@@ -153,11 +153,27 @@ def cost(made: Made, mechanism: str) -> float:
     return made.objective + PRICE * (n + (1 if mechanism == "hysteresis" else 0))
 
 
-def search(
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """What the recovered motion promises: the laws that were followed, best first, and the base they began from."""
+
+    bench: Bench
+    calm: Made
+    base: Made
+    recovered: tuple[Recovered, ...]
+    near: tuple[Tried, ...]
+
+    @property
+    def level(self) -> float:
+        """Chi-square per value that the best law leaves."""
+        return self.near[0].made.data_part / self.near[0].made.count
+
+
+def explore(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
     *, lines: int = 160, progress: Callable[[str], None] = lambda text: None,
-) -> Study | None:  # fmt: skip
-    """Fit the base, locate, regress, follow the leads along the recovered motion, and fit the best by simulation.
+) -> Prospect | None:  # fmt: skip
+    """Fit the base, locate, regress, and follow the leads along the recovered motion.
 
     Parameters
     ----------
@@ -184,17 +200,25 @@ def search(
         again = followed(bench, (nominal,), leads) if leads else []
         if again and (not near or again[0].cost < near[0].cost):
             near, found = sorted([*again, *near], key=lambda t: t.cost), other
+    return Prospect(bench, calm, base, tuple(found), tuple(near)) if near else None
+
+
+def search(seen: Prospect, progress: Callable[[str], None] = lambda text: None) -> Study | None:
+    """The laws that came nearest along the recovered motion, fitted by simulation; a general law beside them."""
     progress("fitting nonlinear laws")
-    tried = simulated(bench, near)
+    bench = seen.bench
+    tried = simulated(bench, seen.near)
     if not tried:
         return None
     best = tried[0].made
     law = None
     if best.data_part > ENOUGH * best.count:
-        background = Background(plain, near[0].made.x[: plain.n_base])
-        general = [general_lead(background, q) for q in nearest(found)]
+        background = Background(bench.joint([]), seen.near[0].made.x[: seen.calm.n_base])
+        general = [general_lead(background, q) for q in nearest(seen.recovered)]
         law = _general(bench, tried[0], general)
-    return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found))
+    return Study(
+        bench.engine, bench.point, bench.runs, seen.base, seen.calm, tuple(tried), law, seen.recovered
+    )  # fmt: skip
 
 
 def of_known(
