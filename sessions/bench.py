@@ -28,7 +28,7 @@ from sessions.shaker import ShakerRun, SteppedRun
 from sessions.snapshot import Progress
 from sessions.store import Session, create_session, discard_empty, open_session
 
-COMPLETE = "complete"
+COMPLETE, STOPPED, GO_ON = "complete", "stopped by the user", "the same command goes on from here"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +87,17 @@ def measure(rig: Rig, path: str | Path, display: Display | None = None, model_te
     path, display = Path(path), display or Quiet()
     new = not path.exists()
     try:
-        return _measured(rig, path, display, model_text)
-    except InputError:  # found out before anything was recorded: leave no empty session behind
-        if new:
+        outcome = _measured(rig, path, display, model_text)
+    except BaseException as error:
+        if new and isinstance(error, InputError):  # found out before anything was recorded: leave no empty session
             discard_empty(path)
+        interrupted = isinstance(error, KeyboardInterrupt)
+        display.end(f"interrupted; {GO_ON}" if interrupted else str(error), not interrupted)
         raise
+    left = sum(how != COMPLETE for how in outcome.items.values())
+    stopped = next((m for m in outcome.messages if m.startswith(STOPPED)), "")
+    display.end(stopped or (f"{left} of {len(outcome.items)} items are left to do" if left else "the plan is complete"))
+    return outcome
 
 
 def _measured(rig: Rig, path: Path, display: Display, model_text: str) -> Outcome:
@@ -103,7 +109,7 @@ def _measured(rig: Rig, path: Path, display: Display, model_text: str) -> Outcom
                 if _ended(session, item) != COMPLETE:
                     _measure(session, rig, item, display, progress(session, rig, plan), messages)
         except UserStopError:
-            messages.append("stopped by the user; the same command goes on from here")
+            messages.append(f"{STOPPED}; {GO_ON}")
         frfs = results(session, rig, plan, messages)
         ended = {item.key: _ended(session, item) for item in plan}
         return Outcome(path, ended, frfs, tuple(messages))
@@ -153,7 +159,7 @@ def _measure(
         try:
             how = _take(rig, item, run, earlier, found, display, done, messages)
         except UserStopError:
-            how = "stopped by the user"
+            how = STOPPED
             raise
         except StoreError:
             how = ""  # the disk takes no more, not even how it ended
