@@ -128,13 +128,10 @@ class Window(Display):
 
     def close(self) -> None:
         """Give the window the last snapshot; it stays, or closes."""
-        deadline = time.monotonic() + 1.0
         with self._fresh:
-            while self._latest is not None and self.alive and time.monotonic() < deadline:
-                self._fresh.wait(0.05)
-        self._over = True
-        with self._fresh:
+            self._over = True
             self._fresh.notify()
+        self._threads[0].join(1.0)  # longer than that only a window takes that hangs
         if not self._stay:
             self._tell(CLOSE)
             try:
@@ -156,11 +153,9 @@ class Window(Display):
         while True:
             with self._fresh:
                 self._fresh.wait_for(lambda: self._over or (self._asked and self._latest is not None))
-                if self._over:
-                    return
                 snapshot, self._latest, self._asked = self._latest, None, False
-                self._fresh.notify_all()
-            if not self._tell(snapshot):
+                over = self._over
+            if (snapshot is not None and not self._tell(snapshot)) or over:
                 return
 
     def _receive(self) -> None:

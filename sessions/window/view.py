@@ -56,6 +56,8 @@ class View(QtWidgets.QMainWindow):
         self.verdict.setWordWrap(True)
         self.verdict.setVisible(False)
         self.level = QtWidgets.QLabel("")
+        self.level.setStyleSheet("font-size: 15px;")
+        self.level.setWordWrap(True)
         self.messages = QtWidgets.QLabel("")
         self.messages.setWordWrap(True)
         self.messages.setStyleSheet("color: #8a5a00;")
@@ -199,7 +201,7 @@ class View(QtWidgets.QMainWindow):
     def _draw_frf(self, c: Curves | None, band: tuple[float, float] | None = None) -> None:
         if band is not None and band != self._band:  # once: after that the person may look elsewhere
             self._band = band
-            self.magnitude.plot.setXRange(*band)
+            self.magnitude.plot.setXRange(*band, padding=0.02)
         if c is None:
             self.magnitude.plot.setTitle("no average yet")
             for part in (self.magnitude, self.phase, self.coherence):
@@ -225,6 +227,7 @@ class View(QtWidgets.QMainWindow):
         if self.snapshot is None or not self.snapshot.finished:
             self.state.setText("the measurement has ended; the terminal says how")
             self.level.setText("")
+            self.messages.setText("")
         self.stop.setEnabled(False)
         for button in self.buttons.values():
             button.setEnabled(False)

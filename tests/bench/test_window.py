@@ -254,6 +254,21 @@ def test_the_end_is_told_with_its_reason_and_no_generator_stays_on_in_the_pictur
     assert not view.stop.isEnabled()
 
 
+@needs_qt
+def test_the_last_picture_arrives_however_soon_the_measurement_closes(monkeypatch):
+    from sessions.window import link
+
+    sent = []
+    monkeypatch.setattr(link.Window, "_tell", lambda self, what: sent.append(what) or True)
+    for _ in range(2):
+        with link.Window(stay=False) as window:
+            window.show(snapshot(0))
+            window.end("the plan is complete")
+            window.process.kill()  # nobody asks any more
+        assert sent[-2].state == "the plan is complete"
+        assert sent[-1] == link.CLOSE
+
+
 class Listening(Display):
     """Hears how it ended."""
 
