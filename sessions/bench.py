@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -85,12 +86,9 @@ def measure(rig: Rig, path: str | Path, display: Display | None = None, model_te
         If a device or the disk failed; the generator is off, and everything acknowledged before is stored.
     """
     path, display = Path(path), display or Quiet()
-    new = not path.exists()
     try:
         outcome = _measured(rig, path, display, model_text)
     except BaseException as error:
-        if new and isinstance(error, InputError):  # found out before anything was recorded: leave no empty session
-            discard_empty(path)
         interrupted = isinstance(error, KeyboardInterrupt)
         display.end(f"interrupted; {GO_ON}" if interrupted else str(error), not interrupted)
         raise
@@ -101,18 +99,29 @@ def measure(rig: Rig, path: str | Path, display: Display | None = None, model_te
 
 
 def _measured(rig: Rig, path: Path, display: Display, model_text: str) -> Outcome:
-    plan = items(rig)
-    with _session(rig, path, model_text) as session:
-        messages: list[str] = [session.notice] if session.notice else []
-        try:
-            for item in plan:
-                if _ended(session, item) != COMPLETE:
-                    _measure(session, rig, item, display, progress(session, rig, plan), messages)
-        except UserStopError:
-            messages.append(f"{STOPPED}; {GO_ON}")
-        frfs = results(session, rig, plan, messages)
-        ended = {item.key: _ended(session, item) for item in plan}
-        return Outcome(path, ended, frfs, tuple(messages))
+    plan, new = items(rig), not path.exists()
+    session = _session(rig, path, model_text)
+    try:
+        with session:
+            return _run_plan(session, rig, plan, display)
+    except BaseException:
+        if new:  # failed before anything was recorded: an empty session would refuse the rig.toml that is put right
+            with suppress(LabnnumError, OSError):
+                discard_empty(path)
+        raise
+
+
+def _run_plan(session: Session, rig: Rig, plan: Sequence[Item], display: Display) -> Outcome:
+    messages: list[str] = [session.notice] if session.notice else []
+    try:
+        for item in plan:
+            if _ended(session, item) != COMPLETE:
+                _measure(session, rig, item, display, progress(session, rig, plan), messages)
+    except UserStopError:
+        messages.append(f"{STOPPED}; {GO_ON}")
+    frfs = results(session, rig, plan, messages)
+    ended = {item.key: _ended(session, item) for item in plan}
+    return Outcome(session.path, ended, frfs, tuple(messages))
 
 
 def progress(session: Session, rig: Rig, plan: Sequence[Item]) -> list[Progress]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labnnum.errors import ConfigError
+from labnnum.errors import ConfigError, DeviceNotFoundError
 from sessions.bench import measure
 from sessions.store import open_session
 
@@ -70,3 +70,20 @@ def test_command(tmp_path):
     assert said["frfs"]["hammer 1:x"]["averages"] == 3.0
     text = CliRunner().invoke(app, ["measure", str(tmp_path / "rig.toml"), "-o", str(out), "--quiet"])
     assert "hammer 2:x: complete" in text.stdout
+
+
+def test_a_device_that_is_not_there_leaves_no_session_that_would_refuse_the_rig_put_right(tmp_path, monkeypatch):
+    def gone(rig, item, attempt=0):
+        raise DeviceNotFoundError("no audio device is called 'USB'")
+
+    out = tmp_path / "out.h5"
+    with monkeypatch.context() as patch, pytest.raises(DeviceNotFoundError):
+        patch.setattr("sessions.bench.devices", gone)
+        measure(hammer_rig(tmp_path, ("seed = 3", "seed = 2")), out)
+    assert not out.exists()
+    assert measure(hammer_rig(tmp_path), out).complete
+    with monkeypatch.context() as patch, pytest.raises(DeviceNotFoundError):
+        patch.setattr("sessions.bench.devices", gone)
+        measure(hammer_rig(tmp_path, ("hits = 3", "hits = 4")), tmp_path / "more.h5")
+    with open_session(out) as session:
+        assert len(session.runs) == 2
