@@ -201,7 +201,7 @@ class View(QtWidgets.QMainWindow):
     def _draw_frf(self, c: Curves | None, band: tuple[float, float] | None = None) -> None:
         if band is not None and band != self._band:  # once: after that the person may look elsewhere
             self._band = band
-            self.magnitude.plot.setXRange(*band, padding=0.02)
+            self.magnitude.plot.setXRange(band[0], band[1], padding=0.02)
         if c is None:
             self.magnitude.plot.setTitle("no average yet")
             for part in (self.magnitude, self.phase, self.coherence):
