@@ -51,6 +51,10 @@ class Traces:
             shown = np.where(row > 0, row, np.nan) if self._log else row
             curve.setData(x, shown, connect="finite")
 
+    def show_between(self, low: float, high: float) -> None:
+        """Bring these bounds of the horizontal axis to the edges."""
+        self._item.getViewBox().setXRange(low, high, padding=0.02)
+
     def _renew(self, names: list[str]) -> None:
         for curve in self.curves:
             self._item.removeItem(curve)

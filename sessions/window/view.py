@@ -196,12 +196,12 @@ class View(QtWidgets.QMainWindow):
             if len(s.hits) != self._closed_in and s.inputs:
                 self._closed_in = len(s.hits)
                 low, high = around_pulse(s.hit[s.inputs[0]])
-                self.hit.plot.setXRange(low / s.rate, high / s.rate)
+                self.hit.show_between(low / s.rate, high / s.rate)
 
     def _draw_frf(self, c: Curves | None, band: tuple[float, float] | None = None) -> None:
         if band is not None and band != self._band:  # once: after that the person may look elsewhere
             self._band = band
-            self.magnitude.plot.setXRange(band[0], band[1], padding=0.02)
+            self.magnitude.show_between(*band)
         if c is None:
             self.magnitude.plot.setTitle("no average yet")
             for part in (self.magnitude, self.phase, self.coherence):
