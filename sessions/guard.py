@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.block import Block
 from labnnum.errors import SafetyError
-from sessions.rig import SafetyTable
+from sessions.rig_tables import SafetyTable
 from sessions.tables import StoredChannel
 
 

@@ -33,6 +33,9 @@ REACHED = 1e-2
 HEARD = 20.0
 """Power of a response over that of its noise from which a line tells whether hits agree."""
 
+QUIET = 30.0
+"""s without a hit after which the person is told what the trigger has seen."""
+
 FEW = 8
 """Lines that are needed to tell."""
 
@@ -60,7 +63,7 @@ class HammerRun:
         self._signals: list[NDArray[np.float64]] = []
         self._places: list[tuple[Run, int]] = []
         self._undo: list[tuple[int, bool]] = []
-        self.enough = False
+        self.enough = self._doubted = False
         for run in earlier:
             self._recall(run)
 
@@ -77,7 +80,7 @@ class HammerRun:
     def measure(self) -> None:
         """Take hits until enough are accepted, and in an attended plan until the person says "next"."""
         desk, detector = self.desk, self.trigger.start()
-        missed = 0
+        missed, largest = 0, 0.0
         self._show()
         for one, si in desk.blocks():
             if one.skipped:
@@ -90,6 +93,9 @@ class HammerRun:
             for miss in detector.missed[missed:]:
                 desk.say(f"a hit at {miss.at / desk.rig.rate:.2f} s was not taken: {miss.reason}")
             missed = len(detector.missed)
+            largest = max(largest, float(np.abs(si[self._row]).max(initial=0.0)))
+            if desk.position > QUIET * desk.rig.rate and not self._lines and not self._doubted and not detector.busy:
+                self._doubt(largest)
             self._say_what_to_do(detector.busy)
             if self._obey() or (self.complete and self._plan.auto):
                 break
@@ -99,6 +105,14 @@ class HammerRun:
         self.enough = self.complete
         self._choose()
         self._show()
+
+    def _doubt(self, largest: float) -> None:
+        """Nobody struck, or nothing was heard of it: the person can tell which."""
+        channel, self._doubted = self.desk.item.channels[self._row], True
+        self.desk.say(
+            f"no hit within {QUIET:g} s: {channel.name!r} reached {largest:.3g} {channel.unit}, trigger.level is"
+            f" {self.trigger.level:g}"
+        )
 
     def _take(self, event: Event) -> None:
         signal = self.desk.tail.cut(event.start, event.stop)
