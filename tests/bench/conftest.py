@@ -6,7 +6,8 @@ import pytest
 
 from drivers.simulated.sound_server import SoundServer
 
-AUDIO_RATE = 8000
+from .rigs import AUDIO_RATE
+
 LACKING = SoundServer.missing() if sys.platform == "linux" else "null sinks are PulseAudio's, on Linux"
 
 

@@ -22,33 +22,8 @@ from sessions.audio import audio_digitiser
 from sessions.cli import app
 from sessions.rig import read_rig
 
-RATE = 8000
-DEVICE = """
-[device]
-kind = "audio"
-name = "pulse"
-rate = 8000
-block = 512
-latency = 0.2
-channels = 4
-[[channel]]
-name = "f"
-role = "reference"
-unit = "N"
-sensitivity = 0.01
-[[channel]]
-name = "a1"
-unit = "m/s^2"
-sensitivity = 0.01
-full_scale = 10.0
-[[channel]]
-name = "a2"
-unit = "m/s^2"
-sensitivity = 0.01
-full_scale = 10.0
-[excitation]
-kind = "none"
-"""
+from .rigs import AUDIO
+from .rigs import AUDIO_RATE as RATE
 
 
 def counter(n):
@@ -149,7 +124,9 @@ def calibrated(words):
 
 def test_a_sine_that_a_meter_reads_gives_the_full_scale_of_an_input_and_of_no_other(echo, tmp_path):
     rig = tmp_path / "rig.toml"
-    rig.write_text(DEVICE)  # the force channel's is not known yet
+    rig.write_text(
+        AUDIO.replace("full_scale = 10.0\n", "", 1) + '[excitation]\nkind = "none"\n'
+    )  # the force channel's is not known yet
     volts = 0.25 * 12.0 / np.sqrt(2)  # what a meter shows, if the largest number stands for 12 V
     for _ in range(2):  # with no full scale to begin with, and with the one that was found
         said = calibrated([rig, "f", "--sine", volts, "--frequency", 200, "--seconds", 3])

@@ -16,44 +16,15 @@ from sessions.bench import measure
 from sessions.rig import parse_rig
 from sessions.store import open_session
 
-RATE = 8000
+from .rigs import AUDIO
+from .rigs import AUDIO_RATE as RATE
+
 CHAIN = Chain(masses={"1": 2.0, "2": 1.0}, links=(Link("1", "ground", 8e5, 60.0), Link("1", "2", 5e5, 40.0)))
 FORCE = Channel("f", "force", "reference", "1", "x", sensitivity=0.01)
 NEAR = Channel("a1", "acceleration", node="1", direction="x", sensitivity=0.01)
 FAR = Channel("a2", "acceleration", node="2", direction="x", sensitivity=0.01)
 SENSORS = tuple(Input(c, noise=noise, full_scale=10.0) for c, noise in ((FORCE, 0.02), (NEAR, 0.05), (FAR, 0.05)))
 
-DEVICE = """
-[device]
-kind = "audio"
-name = "pulse"
-rate = 8000
-block = 512
-latency = 0.2
-channels = 4
-[[channel]]
-name = "f"
-role = "reference"
-unit = "N"
-sensitivity = 0.01
-full_scale = 10.0
-node = "1"
-direction = "x"
-[[channel]]
-name = "a1"
-unit = "m/s^2"
-sensitivity = 0.01
-full_scale = 10.0
-node = "1"
-direction = "x"
-[[channel]]
-name = "a2"
-unit = "m/s^2"
-sensitivity = 0.01
-full_scale = 10.0
-node = "2"
-direction = "x"
-"""
 SHAKER = """
 [generator]
 kind = "audio"
@@ -134,7 +105,7 @@ def measured(sound, plant, text, folder):
 
 
 def test_a_shaker_run_holds_its_level_and_finds_the_plants_frf(sound, tmp_path):
-    outcome = measured(sound, plant_of(), DEVICE + SHAKER, tmp_path)
+    outcome = measured(sound, plant_of(), AUDIO + SHAKER, tmp_path)
     (found,) = outcome.frfs.values()
     with open_session(outcome.path) as session:
         (hit,) = session.runs[0].hits
@@ -147,7 +118,7 @@ def test_a_shaker_run_holds_its_level_and_finds_the_plants_frf(sound, tmp_path):
 
 def test_a_hammer_session_finds_the_plants_frf(sound, tmp_path):
     hammer = {"tip": "rubber", "interval": 1.4, "peak": 100.0, "lead": 2.5}
-    outcome = measured(sound, plant_of(exciter="hammer", gain=1.0, hammer=hammer, seed=3), DEVICE + HAMMER, tmp_path)
+    outcome = measured(sound, plant_of(exciter="hammer", gain=1.0, hammer=hammer, seed=3), AUDIO + HAMMER, tmp_path)
     (found,) = outcome.frfs.values()
     times, error = excess(found, 40, 220)
     assert np.all(times > 0.4)
@@ -156,7 +127,7 @@ def test_a_hammer_session_finds_the_plants_frf(sound, tmp_path):
 
 
 def test_a_generator_on_a_serial_line_is_held_at_its_level_through_the_measured_force(sound, tmp_path):
-    outcome = measured(sound, plant_of(exciter="33120A", gain=10.0), DEVICE + STEPPED, tmp_path)
+    outcome = measured(sound, plant_of(exciter="33120A", gain=10.0), AUDIO + STEPPED, tmp_path)
     (found,) = outcome.frfs.values()
     exact = frf(CHAIN, CHAIN.nominal, found.frequency, found.outputs, found.inputs)
     np.testing.assert_allclose(found.value, exact, rtol=0.02)
@@ -170,9 +141,9 @@ def test_rigs_that_lack_something_are_told(tmp_path):
             measure(parse_rig(text, tmp_path / "rig.toml"), tmp_path / f"{time.monotonic_ns()}.h5")
         return str(error.value)
 
-    assert "channel[1].full_scale is missing" in told(DEVICE.replace("full_scale = 10.0\n", "") + HAMMER)
-    assert "generator.full_scale is missing" in told(DEVICE + SHAKER.replace("full_scale = 10.0\n", ""))
-    assert "generator.port is missing" in told(DEVICE + STEPPED.replace('port = "{port}"\n', ""))
-    assert "cannot play beside an audio interface" in told(DEVICE + SHAKER.replace('"audio"', '"simulated"'))
-    assert "is not one of simulated, audio, scpi" in told(DEVICE + SHAKER.replace('"audio"', '"rigol"'))
+    assert "channel[1].full_scale is missing" in told(AUDIO.replace("full_scale = 10.0\n", "") + HAMMER)
+    assert "generator.full_scale is missing" in told(AUDIO + SHAKER.replace("full_scale = 10.0\n", ""))
+    assert "generator.port is missing" in told(AUDIO + STEPPED.replace('port = "{port}"\n', ""))
+    assert "cannot play beside an audio interface" in told(AUDIO + SHAKER.replace('"audio"', '"simulated"'))
+    assert "is not one of simulated, audio, scpi" in told(AUDIO + SHAKER.replace('"audio"', '"rigol"'))
     assert os.environ.get("PULSE_SINK", "") == ""

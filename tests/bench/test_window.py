@@ -12,9 +12,10 @@ from labnnum.errors import LabnnumError
 from labnnum.recording import Channel
 from sessions.bench import measure
 from sessions.display import Display
-from sessions.rig import parse_rig
 from sessions.snapshot import Curves, HitLine, Progress, Snapshot, scope_view
 from sessions.store import open_session
+
+from .rigs import live_rig
 
 needs_qt = pytest.mark.usefixtures("qtbot")
 CHANNELS = (Channel("hammer", "force", "reference"), Channel("a1"), Channel("a2"))
@@ -181,49 +182,8 @@ def test_a_snapshot_computes_its_spectrum_right():
     assert view["lines"][np.argmax(density)] == pytest.approx(100.0)
 
 
-RIG = """
-[device]
-rate = 4096
-block = 256
-real_time = {real_time}
-buffer = 0.5
-[[channel]]
-name = "hammer"
-role = "reference"
-unit = "N"
-sensitivity = 0.02
-[[channel]]
-name = "a2"
-unit = "m/s^2"
-sensitivity = 0.01
-node = "1"
-direction = "x"
-[trigger]
-pre = 0.05
-duration = 0.3
-[plan]
-points = ["1:x"]
-hits = {hits}
-[simulated.hammer]
-tip = "rubber"
-interval = 0.45
-"""
-MODEL = """
-[structure]
-kind = "chain"
-[[structure.mass]]
-node = "1"
-mass = 1.0
-[[structure.link]]
-between = ["1", "ground"]
-stiffness = 1e6
-damping = 60.0
-"""
-
-
 def rig_of(folder, hits, real_time="true"):
-    (folder / "model.toml").write_text(MODEL)
-    return parse_rig(RIG.format(hits=hits, real_time=real_time), folder / "rig.toml")
+    return live_rig(folder, ("hits = 3", f"hits = {hits}"), ("real_time = true", f"real_time = {real_time}"))
 
 
 @needs_qt
