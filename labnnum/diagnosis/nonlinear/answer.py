@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.detect import signs
-from labnnum.diagnosis.nonlinear.further import further
+from labnnum.diagnosis.nonlinear.further import further, needed
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.lines import choose_lines
@@ -157,7 +157,10 @@ def _chain(
     found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
     limits: Limits, progress: Callable[[str], None],
 ) -> list[Tried]:  # fmt: skip
-    """The best law, then one more at a time while the prediction of held-out runs gains; at last a general one."""
+    """The best law, then one more at a time while the prediction of held-out runs gains; at last a general one.
+
+    Laws that those found later make needless are taken out again.
+    """
     laws = [found.best]
     if laws[0].made.data_part < 1.3 * laws[0].made.count:
         return laws
@@ -179,7 +182,7 @@ def _chain(
             continue
         laws.append(more)
         error = told
-    return laws
+    return needed(found, laws, scatter, limits.further) if len(laws) > 1 else laws
 
 
 def _levels(train: Sequence[Observation], runs: list[Run], most: int = 4) -> tuple[list[Observation], list[Run]]:
@@ -196,7 +199,7 @@ def _rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
     own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
     near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
-    return at_places(found, best, near, scatter, most=2)
+    return at_places(found, best, near[:3], scatter)
 
 
 RIVAL = 0.8
