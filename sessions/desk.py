@@ -81,7 +81,7 @@ class Desk:
         self.commands: list[str] = []
         self.position = 0
         self.tail = Tail(len(item.stored), max(keep, POINTS))
-        self._progress = list(progress)
+        self._progress = [replace(p, current=p.key == item.key) for p in progress]
         display.urgent = self.off
         self._frame = 0
 
