@@ -32,7 +32,7 @@ from labnnum.diagnosis.nonlinear.study import (
     refined,
     search,
 )
-from labnnum.diagnosis.nonlinear.suspect import heard, suspect, without
+from labnnum.diagnosis.nonlinear.suspect import FEW, back, finer, heard, suspect, without
 from labnnum.diagnosis.nonlinear.timing import Timed, timing, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -142,14 +142,18 @@ def answer(
 
     def exploring(some: Sequence[Observation]) -> Prospect | None:
         own = base_point(engine, some[i], scatter, span)
-        return explore(engine, own, [o.run for o in some if o.run is not None], i, every, scatter, progress=progress)
+        return explore(engine, own, [o.run for o in some if o.run is not None], i, every, scatter, lines=FEW)
 
     seen = explore(engine, point, runs, i, every, scatter, progress=progress)
     lying = suspect(train, seen, exploring) if not (whole or nearly) else None
+    if lying is not None and seen is not None:
+        whole_again = back(seen, lying[1])
+        if whole_again is not None:  # it was the way to the law that was hard to find, not the channel that lied
+            seen, lying = whole_again, None
     if lying is not None:
         progress(f"without channel {runs[0].outputs[lying[0]].name}")
         train, test = ([without(o, lying[0]) for o in part] for part in (train, test))
-        seen = lying[1]
+        seen = finer(lying[1])
     found = None if seen is None else search(seen, progress)
     if found is None:
         return None
@@ -244,7 +248,8 @@ def _decide(
     best, base, last = found.best, found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if not t.same(best)]
-    lead = (min(t.cost for t in rivals) - best.cost) / excess if rivals else np.inf
+    equals = [t.cost for t in rivals if t.simulated and not _only_smoother(t, best)]
+    lead = (min(equals) - best.cost) / excess if equals else np.inf
     total = (base.objective * best.made.count / base.count - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count
     general = _level(found.general, last) if found.general is not None else np.inf
@@ -288,6 +293,11 @@ def _decide(
         named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), _curves(found, best), found, tuple(laws), misfit, plain,
     )  # fmt: skip
+
+
+def _only_smoother(t: Tried, best: Tried) -> bool:
+    """Whether a law is the best one with its corners rounded, which explains no less: the simpler is preferred."""
+    return t.mechanism == "hysteresis" and best.mechanism == "stick-slip" and t.spot.place == best.spot.place
 
 
 def _level(t: Tried, other: Tried) -> float:

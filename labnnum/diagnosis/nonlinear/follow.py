@@ -70,7 +70,7 @@ class Followed(Joint):
         )
 
     def _force(self, run: Run, z: NDArray, v: NDArray, f: NDArray, p: NDArray) -> NDArray[np.float64]:
-        """The law's force on the structure; what holds a dry contact that does not move is any force up to its limit."""
+        """The law's force on the structure; what holds a dry contact at rest is any force up to its limit."""
         if self.terms[0].shape.law == "coulomb":
             return np.where(np.abs(v) > self.slow, -p[0] * np.sign(v), np.clip(f, -p[0], p[0]))
         return -force_along(self.terms[0].shape, z, v, p, around=run.lasting)

@@ -47,7 +47,7 @@ class Acting:
 
 WARM = 3
 """Periods marched before Newton's method where nothing is known of the steady state."""
-EXACT = 30
+EXACT = 80
 """Entries of the base model's vector up to which their tangents are marched."""
 
 

@@ -163,6 +163,7 @@ class Steady:
         self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = 3e-4, warm: int = 0
     ) -> Orbit:
         """Newton's method from `orbit` to the steady state with laws' parameters p (k, N_P), after `warm` periods."""
+        orbit = self._own_steps(orbit)
         if not self.run.lasting:
             return self._passes(r, p, orbit, tolerance)
         made = self.prepare(r)
@@ -209,6 +210,14 @@ class Steady:
                 warm, closing = ON, np.inf  # jumps of the force lead Newton's method in circles
             last = closing
         return orbit
+
+    def _own_steps(self, orbit: Orbit) -> Orbit:
+        """The orbit on this march's steps, where it came from one with others."""
+        if orbit.time.shape[0] == self.n:
+            return orbit
+        time = np.ascontiguousarray(np.moveaxis(self.to_time(orbit.force), -1, 0))
+        motion = np.zeros((self.n, self.k, 2))
+        return replace(orbit, time=time, motion=motion, closing=np.inf, inverse=None, floquet=None)
 
     def _passes(self, r: Receptance, p: NDArray, orbit: Orbit, tolerance: float) -> Orbit:
         """The march from rest (a hit), or from where the stretch ends (an open run), until its correction stands."""

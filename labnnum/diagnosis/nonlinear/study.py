@@ -33,6 +33,8 @@ LAWS = (
     "stick-slip",
 )  # fmt: skip
 """Laws that are regressed on the recovered motion; hysteresis starts from stick-slip."""
+LINES = 160
+"""Lines of a run on which laws are sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +108,11 @@ class Bench:
 
     def follow_on(self, one: Tried, steps: int) -> Tried:
         """The same carried on."""
-        return self.follow(one.made.x[: one.made.n_base], _of_fit(one), steps) or one
+        return self.follow(one.made.x[: one.made.n_base], of_fit(one), steps) or one
 
     def simulate(self, one: Tried, steps: int) -> Tried | None:
         """A law that was followed, fitted by simulation."""
-        joint = self.joint([_of_fit(one)])
+        joint = self.joint([of_fit(one)])
         return _tried(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
 
     def carry_on(self, one: Tried, steps: int, *, always: bool = False) -> Tried:
@@ -129,8 +131,8 @@ def _tried(
     return Tried(lead, made, cost(made, lead.mechanism), simulated)
 
 
-def _of_fit(one: Tried) -> Lead:
-    """The lead with the parameters where its fit ended."""
+def of_fit(one: Tried) -> Lead:
+    """Its lead with the parameters where its fit ended."""
     p, _ = one.made.law(0)
     full = np.zeros(N_P)
     full[: p.size] = p
@@ -171,7 +173,7 @@ class Prospect:
 
 def explore(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
-    *, lines: int = 160, progress: Callable[[str], None] = lambda text: None,
+    *, lines: int = LINES, progress: Callable[[str], None] = lambda text: None,
 ) -> Prospect | None:  # fmt: skip
     """Fit the base, locate, regress, and follow the leads along the recovered motion.
 
@@ -343,11 +345,11 @@ def _general(bench: Bench, best: Tried, leads: Sequence[Lead]) -> Tried | None:
     return next((t for t in done if t is not None), None)
 
 
-def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter, lines: int = 160) -> list[Tried]:
+def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter, lines: int = LINES) -> list[Tried]:
     """The winning law at other spots: followed, and simulated where that comes near."""
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines)
     x = best.made.x[: best.made.n_base]
-    made = [bench.follow(x, replace(_of_fit(best), spot=s), LONG) for s in spots]
+    made = [bench.follow(x, replace(of_fit(best), spot=s), LONG) for s in spots]
     near = [t for t in made if t is not None]
     done = [bench.simulate(t, LONG) if t.cost < CLOSE * best.cost else t for t in near]
     return [t for t in done if t is not None]

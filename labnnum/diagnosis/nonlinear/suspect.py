@@ -13,13 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.diagnosis.nonlinear.study import Prospect
+from labnnum.diagnosis.nonlinear.study import LINES, LONG, Bench, Prospect, Tried, of_fit
 from labnnum.diagnosis.observe import Observation
 
 POOR = 3.0
 """Chi-square per value that the best law leaves along the recovered motion above which a channel is suspected."""
 TELLING = 0.3
 """Part of that to which the others must bring it down without the channel, counted on the others alone."""
+AS_WELL = 3.0
+"""Chi-square per value with the channel, of that without it, up to which the channel is believed after all."""
+FEW = 80
+"""Lines of a run on which channels are suspected."""
 DEAF = 100.0
 """Standard deviation that a channel which is left out is given, in units of its response."""
 
@@ -75,3 +79,24 @@ def suspect(
         if best is None or left < best[0]:
             best = left, i, made
     return None if best is None or best[0] > TELLING * level else best[1:]
+
+
+def back(whole: Prospect, found: Prospect, most: int = 3) -> Prospect | None:
+    """What was found without a channel followed with it, if it explains that channel as well; else None."""
+    near = _again(whole.bench, found, most)
+    if not near or near[0].made.data_part > max(POOR, AS_WELL * found.level) * near[0].made.count:
+        return None
+    return replace(whole, near=tuple(near), recovered=found.recovered)
+
+
+def finer(found: Prospect, most: int = 6) -> Prospect:
+    """The same on as many lines as others have."""
+    bench = found.bench.on(LINES)
+    near = _again(bench, found, most)
+    return replace(found, bench=bench, near=tuple(near)) if near else found
+
+
+def _again(bench: Bench, found: Prospect, most: int) -> list[Tried]:
+    """What came nearest followed on another bench; what does not follow there is left out."""
+    near = [bench.follow(t.made.x[: t.made.n_base], of_fit(t), LONG) for t in found.near[:most]]
+    return sorted((t for t in near if t is not None), key=lambda t: t.cost)
