@@ -12,6 +12,9 @@ resolution of the whole record, and a sweep like noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,13 +34,14 @@ DRIVEN = 1e-4
 """Power of the input, of its largest, below which a line is not estimated."""
 
 
-def local_frf(recording: Recording, *, half: int = HALF, step: int | None = None) -> Frf:
+def local_frf(recordings: Recording | Sequence[Recording], *, half: int = HALF, step: int | None = None) -> Frf:
     """FRFs of all responses to the one input of a record, every `step`-th line.
 
     Parameters
     ----------
-    recording : Recording
-        One input; its longest span without a gap is used.
+    recordings : Recording or sequence of Recording
+        One input; the longest span without a gap is used. Of several records, equally long, the mean is taken with
+        the weights of their variances.
     half : int
         Lines on either side that enter an estimate, at least 6.
     step : int, optional
@@ -46,20 +50,24 @@ def local_frf(recording: Recording, *, half: int = HALF, step: int | None = None
     Returns
     -------
     Frf
-        With the variance of every value from what the local functions leave, estimator "local".
+        With the variance of every value from what the local functions leave, and the coherence that goes with it;
+        estimator "local", averages as many as a window has degrees of freedom.
 
     Raises
     ------
     ChannelError
         If there is not exactly one input.
     EstimationError
-        If the record is too short for a single estimate.
+        If the record is too short for a single estimate, or several are not equally long.
 
     References
     ----------
     T. McKelvey and G. Guerin 2012, "Non-parametric frequency response estimation using a local rational model";
     R. Pintelon and J. Schoukens 2012, "System Identification", chapter 7.
     """
+    if not isinstance(recordings, Recording):
+        return _mean([local_frf(r, half=half, step=step) for r in recordings], [r.label for r in recordings])
+    recording = recordings
     if len(recording.inputs) != 1:
         raise ChannelError(f"{recording.label}: local FRFs need one input, not {len(recording.inputs)}")
     if half < 6:
@@ -81,11 +89,38 @@ def local_frf(recording: Recording, *, half: int = HALF, step: int | None = None
     variance = np.empty((y.shape[0], centres.size))
     for i, row in enumerate(y):
         value[i], variance[i] = _local(u[around], row[around])
+    freedom = 2 * half + 1 - 2 * (ORDER + 1)
+    driven_part = np.abs(value) ** 2
+    coherence = driven_part / np.maximum(driven_part + freedom * variance, 1e-300)
     return Frf(
         centres * recording.rate / n, value[:, None], tuple(recording.channels[i] for i in recording.outputs),
-        (recording.channels[recording.inputs[0]],), None, variance[:, None], 1.0, "local",
+        (recording.channels[recording.inputs[0]],), coherence, variance[:, None], float(freedom), "local",
         {"rate": recording.rate, "n_record": n, "half": half, "step": step},
     )  # fmt: skip
+
+
+def _mean(frfs: Sequence[Frf], labels: Sequence[str]) -> Frf:
+    """Of FRFs on the same lines, weighted by their variances."""
+    first = frfs[0]
+    if len(frfs) == 1:
+        return first
+    for one, label in zip(frfs, labels, strict=True):
+        if one.settings["n_record"] != first.settings["n_record"] or one.settings["rate"] != first.settings["rate"]:
+            raise EstimationError(
+                f"{label}: has {one.settings['n_record']} samples at {one.settings['rate']:g} Hz, expected"
+                f" {first.settings['n_record']} at {first.settings['rate']:g} Hz as in {labels[0]}"
+            )
+    lines = frfs[0].frequency
+    for one in frfs[1:]:
+        lines = np.intersect1d(lines, one.frequency)
+    cut = [one.at(np.isin(one.frequency, lines)) for one in frfs]
+    weight = np.array([1.0 / np.maximum(np.asarray(one.variance), 1e-300) for one in cut])
+    whole = weight.sum(axis=0)
+    value = np.sum(weight * np.array([one.value for one in cut]), axis=0) / whole
+    n = sum(one.n_averages for one in cut)
+    driven_part = np.abs(value[:, 0]) ** 2
+    coherence = driven_part / np.maximum(driven_part + n / whole[:, 0], 1e-300)
+    return replace(cut[0], value=value, variance=1.0 / whole, coherence=coherence, n_averages=n)
 
 
 def _local(u: NDArray, y: NDArray) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:

@@ -11,13 +11,14 @@ import numpy as np
 from labnnum.errors import EstimationError
 from labnnum.estimators import H1, H2, Hits, Hv, Welch, periodic
 from labnnum.frf import Frf
+from labnnum.local import local_frf
 from labnnum.recording import Recording
 from sessions.calibration import without_inputs
 from sessions.runs import Run
 from sessions.screen import require_unclipped
 from sessions.store import Session
 
-Method = Literal["auto", "H1", "H2", "Hv", "periodic"]
+Method = Literal["auto", "H1", "H2", "Hv", "periodic", "local"]
 ESTIMATORS = {"H1": H1, "H2": H2, "Hv": Hv}
 AVERAGES = 16
 """Segments without overlap that a record is cut into where nobody says how long they are."""
@@ -30,7 +31,8 @@ class FrfSettings:
     Parameters
     ----------
     estimator : str
-        "H1", "H2", "Hv", "periodic" (averaging of periods), or "auto": periodic where a period is known.
+        "H1", "H2", "Hv", "periodic" (averaging of periods), "local" (rational functions of the whole record), or
+        "auto": periodic where a period is known.
     segment : int or None
         Samples in a segment, or of each hit that are used.
     window : str or None
@@ -104,7 +106,7 @@ def chosen(recordings: Sequence[Recording], settings: FrfSettings) -> FrfSetting
     welch = settings.window is not None or settings.overlap is not None or settings.segment is not None
     if estimator == "auto":
         estimator = "periodic" if period and not welch and settings.hits is not True else "H1"
-    if estimator == "periodic":
+    if estimator in ("periodic", "local"):
         return replace(settings, estimator=estimator, hits=False)
     hits = settings.hits
     if hits is None:
@@ -154,12 +156,16 @@ def estimate(recordings: Sequence[Recording], settings: FrfSettings, lines: Sequ
     if done.estimator == "periodic":
         _require_period(recordings)
         return periodic(list(recordings), None if lines is None else np.array(lines))
-    if done.estimator not in ESTIMATORS:
-        raise EstimationError(f"estimator {done.estimator!r} is not one of auto, {', '.join(ESTIMATORS)}, periodic")
+    if done.estimator not in (*ESTIMATORS, "local"):
+        raise EstimationError(
+            f"estimator {done.estimator!r} is not one of auto, {', '.join(ESTIMATORS)}, periodic, local"
+        )
     if (done.decay or done.gate) and not done.hits:
         raise EstimationError(
             f"{recordings[0].label}: decay and gate are for hammer hits, and this is none; say --hits if it is"
         )
+    if done.estimator == "local":
+        return local_frf(list(recordings))
     if done.hits:
         gate = (done.gate if done.lead is None else done.lead, done.gate) if done.gate else None
         processor = Hits(done.segment, done.decay, gate)

@@ -84,3 +84,21 @@ def test_bad_input_is_named():
         local_frf(recording, half=3)
     with pytest.raises(EstimationError, match="too few"):
         local_frf(Recording(CHANNELS, recording.data[:, :20], RATE))
+
+
+def test_several_records_are_averaged_and_must_be_alike():
+    one, other = record("noise", noise=0.1, seed=5), record("noise", noise=0.1, seed=6)
+    both, alone = local_frf([one, other]), local_frf(one)
+    ratio = np.asarray(both.variance) / np.asarray(alone.variance)
+    assert np.median(ratio) == pytest.approx(0.5, abs=0.1)
+    assert both.n_averages == 2 * alone.n_averages
+    with pytest.raises(EstimationError, match=r"short\.h5: has 30000 samples at 1000 Hz, expected 40000"):
+        local_frf([one, Recording(CHANNELS, other.data[:, :30000], RATE, label="short.h5")])
+
+
+def test_coherence_falls_where_noise_is():
+    frf = local_frf(record("noise", noise=0.3))
+    near = np.abs(frf.frequency - 50.0) < 1.0
+    assert frf.coherence is not None
+    assert frf.coherence[0, near].min() > 0.9
+    assert np.median(frf.coherence) < 0.7

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def frf(
     session: Annotated[Path, typer.Argument(help="The session (.h5); its raw data stay as they are.")],
     estimator: Annotated[
-        str, typer.Option(help="H1 (noise on responses), H2 (on the input), Hv, periodic, or auto.")
+        str, typer.Option(help="H1 (noise on responses), H2 (on the input), Hv, periodic, local, or auto.")
     ] = "auto",
     segment: Annotated[
         int | None, typer.Option(help="Samples in a segment: lines are rate / segment apart.", show_default=False)
