@@ -17,7 +17,7 @@ from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
-from labnnum.diagnosis.nonlinear.problem import Joint
+from labnnum.diagnosis.nonlinear.problem import Joint, Made
 from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
@@ -85,6 +85,10 @@ class NonlinearAnswer:
     misfit: float
     base_x: NDArray[np.float64]
     """Vector of the base model that errors are compared with: fitted to all runs, an identified one to the quietest."""
+    noise: float = 0.0
+    """Relative RMS that noise alone leaves of the responses held out."""
+    orbits: tuple[Any, ...] = ()
+    """Steady states of the last fit, of training runs and of those held out."""
     lying: int | None = None
     """Number of a response that was left out, because a law explains the others far better without it."""
 
@@ -142,9 +146,12 @@ def answer(
 
     def exploring(some: Sequence[Observation]) -> Prospect | None:
         own = base_point(engine, some[i], scatter, span)
-        return explore(engine, own, [o.run for o in some if o.run is not None], i, every, scatter, lines=FEW)
+        return explore(
+            engine, own, [o.run for o in some if o.run is not None], i, every, scatter, lines=FEW, carry_on=False
+        )
 
     seen = explore(engine, point, runs, i, every, scatter, progress=progress)
+    believed: tuple[Observation, ...] = ()
     lying = suspect(train, seen, exploring) if not (whole or nearly) else None
     if lying is not None and seen is not None:
         whole_again = back(seen, lying[1])
@@ -152,6 +159,7 @@ def answer(
             seen, lying = whole_again, None
     if lying is not None:
         progress(f"without channel {runs[0].outputs[lying[0]].name}")
+        believed = (*train, *test)
         train, test = ([without(o, lying[0]) for o in part] for part in (train, test))
         seen = finer(lying[1])
     found = None if seen is None else search(seen, progress)
@@ -168,7 +176,13 @@ def answer(
         progress("fitting records that are not periodic")
         laws[-1] = joined(found, laws[-1], more, scatter)
     made = _decide(found, laws, train, test, scatter, limits, whole, nearly or NEARLY, timed)
-    return made if lying is None else replace(made, lying=lying[0])
+    if lying is None:
+        return made
+    every_channel = linearised(found, made.laws[-1].made, made.orbits, believed, scatter, lying[0])
+    return replace(
+        made, lying=lying[0], linearised=tuple(every_channel[: len(train)]),
+        linearised_held_out=tuple(every_channel[len(train) :]),
+    )  # fmt: skip
 
 
 def _within(o: Observation, span: tuple[float, float]) -> Observation:
@@ -261,7 +275,8 @@ def _decide(
     extended_error = _errors_of(joint, x, orbits, len(train))
     nearly = extended_error[1] < enough * base_error[1]
     reason = ""
-    if total < limits.alarm:
+    noise = _noise(test or train)
+    if total < limits.alarm and base_error[1] < max(limits.sound, 3 * noise):
         reason = UNCONFIRMED
     elif misfit > MISFIT and not nearly:
         reason = "what the best nonlinear law leaves is far more than noise"
@@ -269,11 +284,7 @@ def _decide(
         reason = "a general law of motion and speed explains far more than any named one"
     elif lead < limits.name:
         reason = "two nonlinear laws explain it equally well"
-    if (
-        not reason
-        and extended_error[1] > limits.improve * base_error[1]
-        and extended_error[1] > 3 * _noise(test or train)
-    ):
+    if not reason and extended_error[1] > limits.improve * base_error[1] and extended_error[1] > 3 * noise:
         reason = USELESS
     if not reason and extended_error[1] > GAINS * base_error[1]:
         reason = USELESS
@@ -281,6 +292,9 @@ def _decide(
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
+    poor = min(general, _level(best, last)) > LITTLE * _level_of(base, last)
+    if reason and poor and any(r.quiet.any() for r in found.runs):
+        place = max(found.recovered, key=lambda q: q.share).spot.place  # no law says anything; the distortion does
     if whole:
         linear, n_train = linearised_records(found, last.made, whole, scatter), len(whole)
     else:
@@ -292,6 +306,7 @@ def _decide(
     return NonlinearAnswer(
         named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), _curves(found, best), found, tuple(laws), misfit, plain,
+        noise, tuple(orbits),
     )  # fmt: skip
 
 
@@ -305,6 +320,13 @@ def _level(t: Tried, other: Tried) -> float:
     return t.cost * other.made.count / t.made.count
 
 
+def _level_of(base: Made, other: Tried) -> float:
+    """The same of the base."""
+    return base.objective * other.made.count / base.count
+
+
+LITTLE = 0.3
+"""Part of the base's objective above which a fit that has no name says nothing of the place."""
 MISFIT = 3.0
 """Chi-square per value above which nothing is called explained,"""
 NEARLY = 0.1

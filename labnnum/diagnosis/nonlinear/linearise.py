@@ -19,9 +19,13 @@ from labnnum.recording import Recording
 
 
 def linearised(
-    found: Study, last: Made, orbits: Sequence[Any], observations: Sequence[Observation], scatter: Scatter
-) -> list[Observation]:
-    """Observations whose FRFs lack what the nonlinear force adds, with what its model may have wrong as variance."""
+    found: Study, last: Made, orbits: Sequence[Any], observations: Sequence[Observation], scatter: Scatter,
+    lying: int | None = None,
+) -> list[Observation]:  # fmt: skip
+    """Observations whose FRFs lack what the nonlinear force adds, with what its model may have wrong as variance.
+
+    A channel that lies (`lying`) lies about that share too: there the factor goes by which the force changes the FRF.
+    """
     runs = [o.run for o in observations if o.run is not None]
     none = [choose_lines(r, 2, scatter.floor) for r in runs]
     joint = Joint(found.engine, found.point, runs, last.terms, scatter, none, whole=True)
@@ -31,8 +35,24 @@ def linearised(
         r = made[run.key]
         share = r.lift * (r.h * orbit.force).sum(axis=1)
         at = np.searchsorted(run.frequency, o.frf.frequency - 1e-9)
-        out.append(_less(o, share[:, at] / run.u[at]))
+        change = share[:, at] / run.u[at]
+        made_less = _less(o, change)
+        if lying is not None:
+            plain = (r.lift * r.plain)[lying, at] * r.gain[at]
+            made_less = _scaled(o, made_less, lying, plain / (plain + change[lying]))
+        out.append(made_less)
     return out
+
+
+def _scaled(o: Observation, less: Observation, row: int, factor: NDArray) -> Observation:
+    """`less` with one response of `o` times `factor` (n_f,)."""
+    assert o.frf.variance is not None
+    assert less.frf.variance is not None
+    value, variance = less.frf.value.copy(), less.frf.variance.copy()
+    value[row] = o.frf.value[row] * factor
+    wrong = (0.02 * np.abs(1 - factor) * np.abs(value[row])) ** 2
+    variance[row] = o.frf.variance[row] * np.abs(factor) ** 2 + wrong
+    return replace(less, frf=replace(less.frf, value=value, variance=variance))
 
 
 def _less(o: Observation, change: NDArray) -> Observation:

@@ -77,7 +77,8 @@ def nonlinear_first(
     if not found.named and found.reason != KNOWN:
         plain = again(observations, held_out)  # what one linear mechanism explains needs no law that has no name
         periodic = all(o.run is not None for o in train)
-        sound = plain.verdict in ("consistent", "parameters") and (found.reason == USELESS or not periodic)
+        small = found.base_error[1] < max(limits.sound, 3 * found.noise)
+        sound = plain.verdict in ("consistent", "parameters") and (small if found.reason == USELESS else not periodic)
         if plain.named or sound:
             return plain
     progress("searching for linear physics beside it")

@@ -173,7 +173,7 @@ class Prospect:
 
 def explore(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
-    *, lines: int = LINES, progress: Callable[[str], None] = lambda text: None,
+    *, lines: int = LINES, carry_on: bool = True, progress: Callable[[str], None] = lambda text: None,
 ) -> Prospect | None:  # fmt: skip
     """Fit the base, locate, regress, and follow the leads along the recovered motion.
 
@@ -184,6 +184,8 @@ def explore(
     quiet : int
         Number of the one that distorts least.
     spots : sequence of Spot
+    carry_on : bool
+        Whether what came near after a few steps is followed to the end.
     """
     bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
     alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
@@ -196,10 +198,10 @@ def explore(
     near: list[Tried] = []
     if leads:
         progress("following nonlinear laws along the motion")
-        near = followed(bench, (calm.x, nominal), leads)
+        near = followed(bench, (calm.x, nominal), leads, carry_on)
     if calm.data_part > MISLED * calm.count and not (near and near[0].made.data_part < MISLED * near[0].made.count):
         other, leads = looked(plain, nominal, spots)
-        again = followed(bench, (nominal,), leads) if leads else []
+        again = followed(bench, (nominal,), leads, carry_on) if leads else []
         if again and (not near or again[0].cost < near[0].cost):
             near, found = sorted([*again, *near], key=lambda t: t.cost), other
     return Prospect(bench, calm, base, tuple(found), tuple(near)) if near else None
@@ -276,7 +278,9 @@ NEAR = 3.0
 """Cost, of the least, below which a follow is carried on; and simulated."""
 
 
-def followed(bench: Bench, starts: Sequence[NDArray], leads: Sequence[Lead]) -> list[Tried]:
+def followed(
+    bench: Bench, starts: Sequence[NDArray], leads: Sequence[Lead], carry_on: bool = True
+) -> list[Tried]:  # fmt: skip
     """Leads fitted along the recovered motion, best first; hysteresis wherever a slider comes near.
 
     `starts` are base vectors: a strong law may have misled the base that was fitted without it.
@@ -288,8 +292,8 @@ def followed(bench: Bench, starts: Sequence[NDArray], leads: Sequence[Lead]) -> 
         made = [bench.follow(x, lead, QUICK) for x in starts]
         first += sorted((t for t in made if t is not None), key=lambda t: t.cost)[:1]
     first.sort(key=lambda t: t.cost)
-    if not first:
-        return []
+    if not first or not carry_on:
+        return first
     limit = NEAR * first[0].cost
     done = [bench.follow_on(t, LONG) if t.cost < limit else t for t in first]
     done.sort(key=lambda t: t.cost)
