@@ -34,8 +34,8 @@ from labnnum.updating.batch import FrfBatch
 from labnnum.updating.compiled import compiled
 from labnnum.updating.features import BandIntegrals, LogBands
 from labnnum.updating.fitting import fit_printed, fit_tuned, principal_components
+from labnnum.updating.kernels import kernel_values, squared_distances
 from labnnum.updating.many import bound_deviations, refine_many
-from labnnum.updating.network import kernel_values, squared_distances
 from labnnum.updating.peers import output_error, penalty
 from labnnum.updating.regression import BLOCK, triangle
 from labnnum.updating.training import Disturbance, draw
