@@ -66,7 +66,7 @@ def suggestions(
     theta : array_like, shape (n_parameters,)
         Where to look: the estimate, or nominal values.
     bands, outputs, inputs
-        What is measured now; `inputs` stay as they are.
+        What is measured now; `inputs` stay as they are. A further sensor measures the quantity of the first output.
     relative : float
         Standard deviation of the error of every line, as a share of \|H\|, the same for all channels.
     count : int
@@ -86,8 +86,8 @@ def suggestions(
         raise ModelError("the model has no free parameter: there is nothing to learn about")
     ordered = check_bands(bands)
     measured = {c.dof.lstrip("+-") for c in outputs}
-    spare = [d for d in structure.dofs if d not in measured and d not in {c.dof for c in inputs if c.role != "base"}]
-    sensors = [_moved(outputs[0], d) for d in spare]
+    taken = measured | {c.dof for c in inputs if c.role != "base"}
+    sensors = [_moved(outputs[0], d) for d in structure.dofs if d not in taken and _turns(d) == _turns(outputs[0].dof)]
     more = _free_bands(structure, values, ordered)
     now = _information(structure, values, ordered, outputs, inputs, relative)
     found = [
@@ -101,6 +101,11 @@ def suggestions(
     ]  # fmt: skip
     best = sorted(found, key=lambda s: float(np.log(s.deviation).sum()))
     return tuple(s for s in best if s.gain > 1.01)[:count]
+
+
+def _turns(dof: str) -> bool:
+    """Whether a degree of freedom, "node:direction", is a rotation."""
+    return dof.partition(":")[2].lstrip("+-").startswith("r")
 
 
 def _moved(channel: Channel, dof: str) -> Channel:

@@ -50,6 +50,14 @@ def test_suggestions_are_ranked_and_few():
     assert all(s.gain > 1 for s in found)
 
 
+def test_on_a_driven_beam_only_places_that_such_a_sensor_measures_are_proposed():
+    e = EXAMPLES["beam"]()
+    found = suggestions(e.structure, e.structure.nominal, e.bands, e.outputs, e.inputs, count=20)
+    sensors = [s.what for s in found if s.kind == "sensor"]
+    assert sensors
+    assert all(s.endswith(":z") for s in sensors)
+
+
 def test_without_parameters_there_is_nothing_to_learn():
     fixed = Chain({"1": 1.0}, (Link("1", GROUND, 1.0),))
     with pytest.raises(ModelError, match="no free parameter"):
