@@ -21,11 +21,10 @@ def case(name: str, n_lines: int = 30):
     return batch, theta, np.array([p.spread for p in free])
 
 
-@pytest.mark.parametrize("name", ["truck", "kabe", "yang-brown-low", "beam"])
+@pytest.mark.parametrize("name", ["truck", "kabe-damped", "yang-brown-low", "beam"])
 def test_it_ends_where_the_vectorised_refinement_ends(name):
     batch, theta, spread = case(name)
-    noise = 0.0 if name == "kabe" else 0.01
-    value = Disturbance(noise).on(batch.frf(theta), 0, 0)
+    value = Disturbance(0.01).on(batch.frf(theta), 0, 0)
     start = theta * (1 + 1e-3 * np.random.default_rng(1).standard_normal(theta.shape))
     expected = refine_many(batch, value, start, tolerance=1e-10)
     refine = compiled_refinement(batch)
@@ -33,7 +32,7 @@ def test_it_ends_where_the_vectorised_refinement_ends(name):
         found = refine(v, s)
         assert found.converged
         assert np.abs((found.value - t) / spread).max() < 1e-6
-        assert found.cost == pytest.approx(cost, rel=1e-4, abs=1e-5)  # before the last step
+        assert found.cost == pytest.approx(cost, rel=1e-4)
 
 
 def test_it_stays_within_reach_and_says_where_it_did_not_converge():
