@@ -46,6 +46,8 @@ class Effort:
     nominal : int
         Sets that are refined from the nominal values too, to count failures; 0 leaves that out.
     seed : int
+    lines : int
+        Lines in each band; 0 takes the case's own.
     """
 
     sets: int = 5000
@@ -55,6 +57,7 @@ class Effort:
     large: int = 0
     nominal: int = 500
     seed: int = 0
+    lines: int = 0
 
 
 @dataclass(frozen=True, eq=False)
