@@ -143,12 +143,12 @@ def growth() -> list[dict]:
         structure = chain_of(n, free)
         batch = FrfBatch.of(structure, f, (motion_of(str(n - 1)),), (force_at("0"),))
         low, high = bounds(structure.parameters)
-        theta = low + (high - low) * np.random.default_rng(0).random((64, free))
+        theta = low + (high - low) * np.random.default_rng(0).random((512, free))
         return lambda: batch.frf(theta)
 
-    sweep("degrees of freedom (64 sets, 200 lines)", (4, 8, 16, 24), lambda n: made(n))
-    sweep("lines (64 sets, 8 degrees of freedom)", (200, 400, 800, 1600), lambda n: made(8, 2, np.linspace(0.5, 8, n)))
-    sweep("parameters (64 sets, 16 degrees of freedom)", (2, 4, 6, 8), lambda n: made(16, n))
+    sweep("degrees of freedom (512 sets, 200 lines)", (4, 8, 16, 24), lambda n: made(n))
+    sweep("lines (512 sets, 8 degrees of freedom)", (200, 400, 800, 1600), lambda n: made(8, 2, np.linspace(0.5, 8, n)))
+    sweep("parameters (512 sets, 16 degrees of freedom)", (2, 4, 6, 8), lambda n: made(16, n))
 
     e, f, batch = truck_case()
     features = LogBands(tuple(e.bands))
