@@ -103,7 +103,7 @@ def find_device(name: str | int, direction: Direction = "input") -> int:
 
 
 def checked(name: str | int, direction: Direction, channels: int, rate: float) -> int:
-    """Number of a device that has so many channels and takes that rate.
+    """Number of a device that has so many channels and takes that rate; it may have been plugged in just now.
 
     Raises
     ------
@@ -112,6 +112,14 @@ def checked(name: str | int, direction: Direction, channels: int, rate: float) -
     ProtocolError
         It refuses the rate; the message names those usual rates that it takes.
     """
+    try:
+        return _checked(name, direction, channels, rate)
+    except DeviceNotFoundError:
+        refresh()
+        return _checked(name, direction, channels, rate)
+
+
+def _checked(name: str | int, direction: Direction, channels: int, rate: float) -> int:
     sd = portaudio()
     number = find_device(name, direction)
     info = sd.query_devices(number)
@@ -245,11 +253,7 @@ class AudioDigitiser(Digitiser):
         sd = portaudio()
         if self._stream is not None:
             return
-        try:
-            number = checked(self.device, "input", self._opened, self._rate)
-        except DeviceNotFoundError:
-            refresh()  # it may have been plugged in since
-            number = checked(self.device, "input", self._opened, self._rate)
+        number = checked(self.device, "input", self._opened, self._rate)
         self.name = sd.query_devices(number)["name"]
         try:
             self._stream = sd.InputStream(

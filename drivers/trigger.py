@@ -86,6 +86,11 @@ class Detector:
         self._armed = False
         self._open: Event | None = None
 
+    @property
+    def busy(self) -> bool:
+        """Whether a hit has begun that is not complete."""
+        return self._open is not None
+
     def feed(self, samples: ArrayLike) -> list[Event]:
         """Hits that are complete now."""
         x = self._seen(np.asarray(samples, float))

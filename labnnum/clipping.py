@@ -18,6 +18,9 @@ PAIRS = 6
 LEVELS = 200
 """Sizes that a signal must take for a return to the very same one to tell anything."""
 
+COARSE = 16
+"""Steps of the converter that a signal must span: the outermost of a few is a step and no rail."""
+
 AT_RAIL = 0.995
 """Share of a known full scale from which a sample counts as overloaded."""
 
@@ -33,7 +36,8 @@ def clipped_runs(signal: ArrayLike, full_scale: float | None = None) -> list[tup
         counts as clipped where its outermost level is a plateau: at least three samples in a row at the very
         same value (two, if the signal is finely resolved and noisy elsewhere), and far more samples at that level
         than a smooth peak leaves there. The same is tried with levels as wide as the noise, for signals that
-        were clipped before noise was added.
+        were clipped before noise was added. A signal of fewer than sixteen steps of its converter is too coarse to
+        tell, and counts as not clipped.
 
     Notes
     -----
@@ -52,6 +56,8 @@ def clipped_runs(signal: ArrayLike, full_scale: float | None = None) -> list[tup
     if full_scale is not None:
         return runs(np.abs(x) >= AT_RAIL * abs(full_scale))
     if x.size < 4 or not np.isfinite(x).all() or x.min() == x.max():
+        return []
+    if np.ptp(x) < COARSE * _smallest_gap(x):
         return []
     x = np.ldexp(x, -int(np.frexp(np.abs(x).max())[1]))  # exact, and squares of huge values stay finite
     centred = x - np.median(x)
@@ -125,9 +131,14 @@ def runs(mask: ArrayLike) -> list[tuple[int, int]]:
 
 def resolution(signal: NDArray) -> float:
     """Smallest difference between two values of a signal: the converter's step, if it shows; of eight bits at most."""
+    return min(_smallest_gap(signal), float(np.ptp(signal)) / 250)
+
+
+def _smallest_gap(signal: NDArray) -> float:
+    """Between two values that are not the same but for rounding; 0 if there are no two."""
     gaps = np.diff(np.unique(signal))
     gaps = gaps[gaps > 1e-12 * np.abs(signal).max()]
-    return min(float(gaps.min()), float(np.ptp(signal)) / 250) if gaps.size else 0.0
+    return float(gaps.min()) if gaps.size else 0.0
 
 
 def noise_level(signal: NDArray) -> float:

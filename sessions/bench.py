@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from sessions.shaker import ShakerRun, SteppedRun
 from sessions.snapshot import Progress
 from sessions.store import Session, create_session, discard_empty, open_session
 
-COMPLETE = "complete"
+COMPLETE, STOPPED, GO_ON = "complete", "stopped by the user", "the same command goes on from here"
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,28 +86,42 @@ def measure(rig: Rig, path: str | Path, display: Display | None = None, model_te
         If a device or the disk failed; the generator is off, and everything acknowledged before is stored.
     """
     path, display = Path(path), display or Quiet()
-    new = not path.exists()
     try:
-        return _measured(rig, path, display, model_text)
-    except InputError:  # found out before anything was recorded: leave no empty session behind
-        if new:
-            discard_empty(path)
+        outcome = _measured(rig, path, display, model_text)
+    except BaseException as error:
+        interrupted = isinstance(error, KeyboardInterrupt)
+        display.end(f"interrupted; {GO_ON}" if interrupted else str(error), not interrupted)
         raise
+    left = sum(how != COMPLETE for how in outcome.items.values())
+    stopped = next((m for m in outcome.messages if m.startswith(STOPPED)), "")
+    display.end(stopped or (f"{left} of {len(outcome.items)} items are left to do" if left else "the plan is complete"))
+    return outcome
 
 
 def _measured(rig: Rig, path: Path, display: Display, model_text: str) -> Outcome:
-    plan = items(rig)
-    with _session(rig, path, model_text) as session:
-        messages: list[str] = [session.notice] if session.notice else []
-        try:
-            for item in plan:
-                if _ended(session, item) != COMPLETE:
-                    _measure(session, rig, item, display, progress(session, rig, plan), messages)
-        except UserStopError:
-            messages.append("stopped by the user; the same command goes on from here")
-        frfs = results(session, rig, plan, messages)
-        ended = {item.key: _ended(session, item) for item in plan}
-        return Outcome(path, ended, frfs, tuple(messages))
+    plan, new = items(rig), not path.exists()
+    session = _session(rig, path, model_text)
+    try:
+        with session:
+            return _run_plan(session, rig, plan, display)
+    except BaseException:
+        if new:  # failed before anything was recorded: an empty session would refuse the rig.toml that is put right
+            with suppress(LabnnumError, OSError):
+                discard_empty(path)
+        raise
+
+
+def _run_plan(session: Session, rig: Rig, plan: Sequence[Item], display: Display) -> Outcome:
+    messages: list[str] = [session.notice] if session.notice else []
+    try:
+        for item in plan:
+            if _ended(session, item) != COMPLETE:
+                _measure(session, rig, item, display, progress(session, rig, plan), messages)
+    except UserStopError:
+        messages.append(f"{STOPPED}; {GO_ON}")
+    frfs = results(session, rig, plan, messages)
+    ended = {item.key: _ended(session, item) for item in plan}
+    return Outcome(session.path, ended, frfs, tuple(messages))
 
 
 def progress(session: Session, rig: Rig, plan: Sequence[Item]) -> list[Progress]:
@@ -153,7 +168,7 @@ def _measure(
         try:
             how = _take(rig, item, run, earlier, found, display, done, messages)
         except UserStopError:
-            how = "stopped by the user"
+            how = STOPPED
             raise
         except StoreError:
             how = ""  # the disk takes no more, not even how it ended

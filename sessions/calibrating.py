@@ -20,6 +20,8 @@ from labnnum.system import System
 from sessions.rig import Rig
 
 Progress = Callable[[int, int], None]
+NOISE_VOLTS = 0.5
+"""RMS of the noise that a simulated generator plays while inputs or a mass are calibrated."""
 TRUE_MASS_HZ = 2.0
 """Where a simulated calibration mass swings on its cord."""
 
@@ -146,10 +148,10 @@ def _tone(rig: Rig, row: int, level: float, frequency: float) -> SimulatedBench:
 
 
 def _common(rig: Rig) -> SimulatedBench:
-    """One voltage, noise, on all inputs of a simulated bench."""
-    player = _noise(rig)
-    feed = [1 / (s or 1.0) for s in rig.stated]
-    return _static(rig, np.array(feed), player)
+    """One voltage, noise that suits the least range, on all inputs of a simulated bench."""
+    least = min((s.full_scale for s in rig.stored if s.full_scale > 0), default=np.inf)
+    suited = min(1.0, 0.1 * least / NOISE_VOLTS)
+    return _static(rig, np.array([suited / (s or 1.0) for s in rig.stated]), _noise(rig))
 
 
 def _static(rig: Rig, feed: NDArray, source: Source) -> SimulatedBench:
@@ -182,5 +184,5 @@ def _swinging(rig: Rig, rows: Sequence[int], kilograms: float) -> SimulatedBench
 
 def _noise(rig: Rig) -> Player:
     player = Player()
-    player.play(0.5 * np.random.default_rng(rig.toml.simulated.seed).standard_normal(2**16), repeat=True)
+    player.play(NOISE_VOLTS * np.random.default_rng(rig.toml.simulated.seed).standard_normal(2**16), repeat=True)
     return player

@@ -20,7 +20,7 @@ from sessions.toml import Table, parse, read_toml
 from sessions.toml_write import dumps
 
 if TYPE_CHECKING:
-    from sessions.rig import RigChannel
+    from sessions.rig_tables import RigChannel
     from sessions.runs import Run
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -19,6 +19,9 @@ from sessions.rig import Rig
 from sessions.runs import Run
 from sessions.snapshot import POINTS, Curves, HitLine, Progress, Snapshot, scope_view
 
+LIT = 3.0
+"""s for which an overload lamp says "now"."""
+
 
 class UserStopError(SafetyError):
     """The person asked for the end; the output has been switched off."""
@@ -78,9 +81,9 @@ class Desk:
         self.commands: list[str] = []
         self.position = 0
         self.tail = Tail(len(item.stored), max(keep, POINTS))
-        self._progress = list(progress)
+        self._progress = [replace(p, current=p.key == item.key) for p in progress]
         display.urgent = self.off
-        self._time = 0.0
+        self._frame = 0
 
     def blocks(self) -> Iterator[tuple[Stored, NDArray[np.float64]]]:
         """Stored blocks with their samples in SI units; the display is served and heard in between."""
@@ -88,7 +91,7 @@ class Desk:
             si = np.array([s.to_si(row) for s, row in zip(self.item.stored, one.block.data, strict=True)])
             self.tail.add(one.at, si)
             self.position = one.at + si.shape[1]
-            self._time = one.block.start / self.rig.rate
+            self._frame = one.block.start
             yield one, si
             self.listen()
             if self.display.wants():
@@ -114,7 +117,8 @@ class Desk:
 
     def snapshot(self, **changes: Any) -> Snapshot:
         """What there is now."""
-        s = self.status
+        s, e = self.status, self.rig.toml.excitation
+        lit, since = self.guard.overloaded_at, self._frame - LIT * self.rig.rate
         view: dict[str, Any] = scope_view(self.item.channels, self.rig.rate, self.tail.latest(POINTS))
         return Snapshot(
             s.state,
@@ -124,7 +128,9 @@ class Desk:
             hits=s.hits,
             progress=tuple(self._progress),
             overload=tuple(bool(o) for o in self.guard.overloaded),
-            time=self._time,
+            over_now=tuple(bool(at >= max(since, 0)) for at in lit),
+            band=(e.low, e.high) if e.high else None,
+            time=self._frame / self.rig.rate,
             lost=self.recorder.lost,
             overflows=self.recorder.overflows,
             volts=s.volts,

@@ -32,7 +32,8 @@ from labnnum.errors import ConfigError
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
 from sessions.items import Item, control, trigger_row
-from sessions.rig import Rig, SimulatedChannel
+from sessions.rig import Rig
+from sessions.rig_tables import SimulatedChannel
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from importlib import import_module
 from types import TracebackType
-from typing import Self, final
+from typing import Any, Self, final
 
 from sessions.snapshot import Snapshot
 
@@ -38,6 +40,10 @@ class Display(ABC):
     def commands(self) -> list[str]:
         """What the person asked for since the last call."""
         return []
+
+    def end(self, why: str, failed: bool = False) -> None:
+        """The measurement is over, as asked for or not, and why."""
+        return None
 
     def close(self) -> None:
         """No more snapshots."""
@@ -90,6 +96,7 @@ class Text(Display):
         from rich.live import Live
 
         self._keys = Keys()
+        self._heard = 0
         self._live = Live(console=Console(file=sys.stderr), refresh_per_second=8, transient=False)
         self._live.start()
 
@@ -101,6 +108,9 @@ class Text(Display):
         """Redraw."""
         from sessions.text import render
 
+        if len(snapshot.hits) > self._heard and not snapshot.hits[-1].accepted:
+            self._live.console.bell()  # eyes and hands are with the hammer
+        self._heard = len(snapshot.hits)
         self._live.update(render(snapshot))
 
     def close(self) -> None:
@@ -111,26 +121,36 @@ class Text(Display):
 
 COMMANDS = {"a": "accept", "r": "reject", "u": "undo", "n": "next", " ": "next", "q": "stop"}
 """What a key means."""
+FUNCTION_KEYS = "\x00\xe0"
+"""What the Windows console puts before the code of an arrow or function key."""
 
 
 @final
 class Keys:
-    """Single keys from the terminal, without waiting; none where standard input is no terminal, or on Windows."""
+    """Single keys from the terminal or the Windows console, without waiting; none where input comes from elsewhere."""
 
     def __init__(self) -> None:
-        self._saved = None
+        self._saved: Any = None
+        self._console: Any = None
+        try:
+            if not sys.stdin.isatty():
+                return
+        except (AttributeError, ValueError):  # no standard input at all, or one that is closed
+            return
         try:
             import termios
             import tty
-
-            if sys.stdin.isatty():
-                self._saved = termios.tcgetattr(sys.stdin)
-                tty.setcbreak(sys.stdin)
-        except (ImportError, OSError, ValueError):  # Windows, or an input that is no real file: no keys
-            self._saved = None
+        except ImportError:
+            self._console = import_module("msvcrt")  # Windows
+            return
+        with contextlib.suppress(OSError, ValueError, termios.error):  # an input that only looks like a terminal
+            self._saved = termios.tcgetattr(sys.stdin)
+            tty.setcbreak(sys.stdin)
 
     def pressed(self) -> list[str]:
         """Keys since the last call."""
+        if self._console is not None:
+            return self._from_console()
         if self._saved is None:
             return []
         import os
@@ -143,6 +163,16 @@ class Keys:
                 break
             out += got.decode(errors="ignore")
         return list(out)
+
+    def _from_console(self) -> list[str]:
+        out = []
+        while self._console.kbhit():
+            key = self._console.getwch()
+            if key in FUNCTION_KEYS:
+                self._console.getwch()
+            else:
+                out.append(key)
+        return out
 
     def close(self) -> None:
         """Give the terminal back as it was."""

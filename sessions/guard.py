@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.block import Block
 from labnnum.errors import SafetyError
-from sessions.rig import SafetyTable
+from sessions.rig_tables import SafetyTable
 from sessions.tables import StoredChannel
 
 
@@ -42,6 +42,8 @@ class Guard:
         self._stored, self._safety, self._off = tuple(stored), safety, off
         self._watched = [(i, s, limits[s.channel.name]) for i, s in enumerate(stored) if s.channel.name in limits]
         self.overloaded = np.zeros(len(self._stored), bool)
+        self.overloaded_at = np.full(len(self._stored), -1)
+        """Frame up to which each channel was last seen overloaded; -1 if never."""
         self.tripped = False
         self.warnings: list[str] = []
         self.gaps = 0
@@ -52,6 +54,7 @@ class Guard:
         for row, stored, (warn, stop) in self._watched:
             self._limit(stored, float(np.abs(stored.to_si(block.data[row])).max(initial=0.0)), warn, stop)
         if block.overload is not None and block.overload.any():
+            self.overloaded_at[block.overload] = block.start + block.n_frames
             self._overload(block.overload)
         if block.lost or block.overflow:
             self.gaps += 1

@@ -25,13 +25,16 @@ from labnnum.verdict import Verdict
 from sessions.desk import Desk
 from sessions.items import trigger_row
 from sessions.runs import Run
-from sessions.snapshot import HitLine, curves
+from sessions.snapshot import HitLine, curves, failed_checks
 
 REACHED = 1e-2
 """Power of the force over its largest from which a line counts as excited."""
 
 HEARD = 20.0
 """Power of a response over that of its noise from which a line tells whether hits agree."""
+
+QUIET = 30.0
+"""s without a hit after which the person is told what the trigger has seen."""
 
 FEW = 8
 """Lines that are needed to tell."""
@@ -60,7 +63,7 @@ class HammerRun:
         self._signals: list[NDArray[np.float64]] = []
         self._places: list[tuple[Run, int]] = []
         self._undo: list[tuple[int, bool]] = []
-        self.enough = False
+        self.enough = self._doubted = False
         for run in earlier:
             self._recall(run)
 
@@ -77,7 +80,7 @@ class HammerRun:
     def measure(self) -> None:
         """Take hits until enough are accepted, and in an attended plan until the person says "next"."""
         desk, detector = self.desk, self.trigger.start()
-        missed = 0
+        missed, largest = 0, 0.0
         self._show()
         for one, si in desk.blocks():
             if one.skipped:
@@ -90,6 +93,10 @@ class HammerRun:
             for miss in detector.missed[missed:]:
                 desk.say(f"a hit at {miss.at / desk.rig.rate:.2f} s was not taken: {miss.reason}")
             missed = len(detector.missed)
+            largest = max(largest, float(np.abs(si[self._row]).max(initial=0.0)))
+            if desk.position > QUIET * desk.rig.rate and not self._lines and not self._doubted and not detector.busy:
+                self._doubt(largest)
+            self._say_what_to_do(detector.busy)
             if self._obey() or (self.complete and self._plan.auto):
                 break
             if len(self._lines) >= self._plan.most:
@@ -98,6 +105,14 @@ class HammerRun:
         self.enough = self.complete
         self._choose()
         self._show()
+
+    def _doubt(self, largest: float) -> None:
+        """Nobody struck, or nothing was heard of it: the person can tell which."""
+        channel, self._doubted = self.desk.item.channels[self._row], True
+        self.desk.say(
+            f"no hit within {QUIET:g} s: {channel.name!r} reached {largest:.3g} {channel.unit}, trigger.level is"
+            f" {self.trigger.level:g}"
+        )
 
     def _take(self, event: Event) -> None:
         signal = self.desk.tail.cut(event.start, event.stop)
@@ -110,7 +125,7 @@ class HammerRun:
         )
         self._places.append((self.desk.run, index))
         self._signals.append(signal)
-        self._lines.append(HitLine(len(self._lines), not bad, reason, peak))
+        self._lines.append(HitLine(len(self._lines), not bad, reason, peak, failed_checks(bad)))
         self._undo.append((len(self._lines) - 1, False))
         self._show(signal)
 
@@ -192,7 +207,7 @@ class HammerRun:
             self._undo.append((index, line.accepted))
         run, number = self._places[index]
         run.judge_hit(number, accepted, reason)
-        self._lines[index] = HitLine(index, accepted, reason, line.peak)
+        self._lines[index] = HitLine(index, accepted, reason, line.peak)  # the person's word stands for the checks'
         self._show()
 
     def _recall(self, run: Run) -> None:
@@ -223,14 +238,17 @@ class HammerRun:
     def _show(self, last: NDArray | None = None) -> None:
         status = self.desk.status
         self.desk.done(len(self.accepted), self._plan.hits)
-        point = self.desk.item.point
-        waits = self.complete and not self._plan.auto
-        status.state = f"point {point}: {'enough hits; say next' if waits else 'strike'}"
-        status.waiting = waits
+        self._say_what_to_do()
         status.hits = tuple(self._lines)
         status.hit = last if last is not None else status.hit
         running = curves(H1(self.processor())(self.recording())) if self.accepted else None
         status.curves = lambda: running
+
+    def _say_what_to_do(self, busy: bool = False) -> None:
+        status, plan = self.desk.status, self._plan
+        status.waiting = self.complete and not plan.auto
+        now = "hold still" if busy else "enough hits; say next" if status.waiting else "strike"
+        status.state = f"point {self.desk.item.point}: {now} ({len(self.accepted)} of {plan.hits} accepted)"
 
     def processor(self) -> Hits:
         """How the hits are estimated from."""

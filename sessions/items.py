@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from labnnum.errors import ConfigError
 from labnnum.excitation import Drive, burst_random, chirp, multisine, periodic_random, random
 from labnnum.recording import Channel
-from sessions.rig import ExcitationTable, Rig
+from sessions.rig import Rig
+from sessions.rig_tables import ExcitationTable
 from sessions.runs import Run
 from sessions.tables import StoredChannel
 
@@ -56,12 +57,15 @@ def items(rig: Rig) -> tuple[Item, ...]:
     Raises
     ------
     ConfigError
-        If the plan lacks something: levels for a shaker, a place for a force.
+        If the plan lacks something: levels for a shaker, a place for a force, a response; or asks for what cannot be:
+        a trigger above the force's range.
     """
-    if rig.toml.excitation.kind == "hammer":
-        return _hammer_items(rig)
     if rig.toml.excitation.kind == "none":
         return (Item("record", 0, rig.stored),)
+    if not any(c.role == "response" for c in rig.channels):
+        raise ConfigError(f"{rig.path}: channel: none has the role response, so there is nothing to measure")
+    if rig.toml.excitation.kind == "hammer":
+        return _hammer_items(rig)
     return _shaker_items(rig)
 
 
@@ -89,6 +93,7 @@ def trigger_row(rig: Rig) -> int:
 
 def _hammer_items(rig: Rig) -> tuple[Item, ...]:
     plan, row = rig.toml.plan, trigger_row(rig)
+    _require_hammer(rig, row)
     points = plan.points or (_place(rig.channels[row]) if rig.channels[row].dof else "",)
     if not points[0]:
         raise ConfigError(
@@ -105,6 +110,29 @@ def _hammer_items(rig: Rig) -> tuple[Item, ...]:
             stored = _moved(rig.stored, roving, point)
         out.append(Item(f"hammer {point}", number, stored, point))
     return tuple(out)
+
+
+def _require_hammer(rig: Rig, row: int) -> None:
+    """ConfigError unless the trigger watches the one reference, and can be reached within its range."""
+    hammer, level = rig.stored[row], rig.toml.trigger.level
+    name, unit = hammer.channel.name, hammer.channel.unit
+    others = [c.name for i, c in enumerate(rig.channels) if i != row and c.role in ("reference", "base")]
+    if hammer.channel.role != "reference":
+        raise ConfigError(
+            f"{rig.path}: trigger.channel: {name!r} has the role {hammer.channel.role}; the hammer's own, a reference,"
+            " is what triggers"
+        )
+    if others:
+        raise ConfigError(
+            f"{rig.path}: channel {others[0]!r}: a hammer plan has one input, {name!r}; give the others the role"
+            " monitor or response"
+        )
+    top = hammer.full_scale * abs(hammer.scale)
+    if 0 < top <= level:
+        raise ConfigError(
+            f"{rig.path}: trigger.level: {level:g} {unit} cannot be reached: the range of {name!r} ends at"
+            f" {top:.4g} {unit}"
+        )
 
 
 def _place(channel: Channel) -> str:

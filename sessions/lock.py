@@ -61,10 +61,18 @@ class WriterLock:
     def release(self) -> None:
         """Give the session free."""
         if self._fd >= 0:
-            with contextlib.suppress(FileNotFoundError, PermissionError):  # a folder that turned read-only
-                self._path.unlink()
+            with contextlib.suppress(OSError):  # should the file stay, it names no owner
+                os.ftruncate(self._fd, 0)
+            if fcntl is not None:  # while it is ours; Windows removes no file that is open
+                self._remove()
             os.close(self._fd)
             self._fd = -1
+            if fcntl is None:
+                self._remove()
+
+    def _remove(self) -> None:
+        with contextlib.suppress(FileNotFoundError, PermissionError):  # a folder that turned read-only
+            self._path.unlink()
 
     def _take(self, path: Path) -> int:
         while True:

@@ -20,7 +20,7 @@ from labnnum.recording import Channel
 from labnnum.response import modes
 from labnnum.structures.base import Structure
 from sessions.items import waveform
-from sessions.rig import ExcitationTable
+from sessions.rig_tables import ExcitationTable
 from sessions.store import Session
 
 Progress = Callable[[int, int], None]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from labnnum.frf import Frf
 from labnnum.recording import Channel
+from labnnum.verdict import Verdict
 from labnnum.windows import window
 
 TURNS = (-180.0, -270.0, 0.0, -90.0)
@@ -21,12 +23,25 @@ POINTS = 4096
 
 @dataclass(frozen=True, slots=True)
 class HitLine:
-    """One hit as shown: its number, whether it counts, and why."""
+    """One hit as shown: its number, whether it counts, and why; the checks that it failed, in a word each."""
 
     index: int
     accepted: bool
     reason: str
     peak: float = float("nan")
+    failed: tuple[str, ...] = ()
+
+    def headline(self, unit: str) -> str:
+        """What can be read from where the hammer is.
+
+        Examples
+        --------
+        >>> HitLine(3, False, "double hit: a further pulse of 30 %", 81.26, ("double hit",)).headline("N")
+        'hit 3 rejected, 81.3 N: double hit'
+        """
+        word = "accepted" if self.accepted else "rejected"
+        why = "" if self.accepted else f": {'; '.join(self.failed) or self.reason}"
+        return f"hit {self.index} {word}, {self.peak:.3g} {unit}".rstrip() + why
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +87,14 @@ class Snapshot:
         Rows that are forces or base motions.
     overload : tuple of bool
         Channels that met the end of their range in this run.
+    over_now : tuple of bool
+        Those of them that did within the last seconds.
+    band : (low, high) or None
+        Hz that are excited.
     judged : bool
         Hits are measured, which the person may accept, reject and undo.
+    finished, failed : bool
+        The measurement is over, and `state` says how; it ended otherwise than asked for.
     """
 
     state: str
@@ -89,6 +110,8 @@ class Snapshot:
     hits: tuple[HitLine, ...] = ()
     progress: tuple[Progress, ...] = ()
     overload: tuple[bool, ...] = ()
+    over_now: tuple[bool, ...] = ()
+    band: tuple[float, float] | None = None
     time: float = 0.0
     lost: int = 0
     overflows: int = 0
@@ -100,7 +123,23 @@ class Snapshot:
     waiting: bool = False
     judged: bool = False
     finished: bool = False
-    extra: dict[str, str] = field(default_factory=dict)
+    failed: bool = False
+
+
+def failed_checks(bad: Sequence[Verdict]) -> tuple[str, ...]:
+    """Names of the checks that failed, each once; with its channels where there are several of the kind.
+
+    Examples
+    --------
+    >>> one = Verdict("overload", False, 3.0, 0.0, "a2 is clipped", "a2")
+    >>> failed_checks([one, Verdict("double hit", False, 0.3, 0.2, "double hit: ...", "force")])
+    ('overload a2', 'double hit')
+    """
+    channels: dict[str, list[str]] = {}
+    for verdict in bad:
+        channels.setdefault(verdict.name, []).append(verdict.channel)
+    shared = ("pulse", "double hit", "level", "reach")  # of the force alone
+    return tuple(k if k in shared else f"{k} {', '.join(names)}".rstrip() for k, names in channels.items())
 
 
 def curves(frf: Frf) -> Curves:

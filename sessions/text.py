@@ -22,6 +22,9 @@ def render(snapshot: Snapshot) -> RenderableType:
     """The snapshot as lines and tables."""
     parts: list[RenderableType] = [_headline(snapshot), _plan(snapshot), _channels(snapshot)]
     if snapshot.hits:
+        last = snapshot.hits[-1]
+        unit = snapshot.units[snapshot.inputs[0]] if snapshot.inputs else ""
+        parts.append(Text(last.headline(unit), style="bold white on " + ("green" if last.accepted else "red")))
         parts.append(_hits(snapshot))
     if snapshot.curves is not None:
         parts.append(_frf(snapshot.curves))
@@ -58,11 +61,17 @@ def _channels(s: Snapshot) -> Table:
         table.add_column(title, justify="right" if title in ("peak", "RMS") else "left")
     for i, (name, unit) in enumerate(zip(s.names, s.units, strict=True)):
         row = s.scope[i] if s.scope.shape[1] else np.zeros(1)
-        lamp = Text("OVERLOAD", style="bold white on red") if s.overload[i : i + 1] == (True,) else Text(unit)
+        lamp = _lamp(s, i, unit)
         table.add_row(
             name, f"{np.abs(row).max():.4g}", f"{np.sqrt(np.mean(row**2)):.4g}", lamp, _bars(s.spectrum[i], 32)
         )
     return table
+
+
+def _lamp(s: Snapshot, row: int, unit: str) -> Text:
+    if s.over_now[row : row + 1] == (True,):
+        return Text("OVERLOAD", style="bold white on red")
+    return Text(f"{unit} was over", style="yellow") if s.overload[row : row + 1] == (True,) else Text(unit)
 
 
 def _hits(s: Snapshot) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from functools import lru_cache
@@ -116,8 +117,8 @@ def calibration(sensitivity: float | str, unit: str, quantity: str, where: str =
         per_si = _parsed_sensitivity(sensitivity, quantity, where)
     else:
         per_si = float(sensitivity) / (1.0 if volts else conversion(unit, quantity, where).scale)
-    if not per_si or per_si != per_si:
-        raise UnitError(f"{where}sensitivity {sensitivity!r} must be a number other than 0, in volts per unit")
+    if not per_si or not math.isfinite(per_si):
+        raise UnitError(f"{where}sensitivity {sensitivity!r} must be a finite number other than 0, in volts per unit")
     return Conversion((volts or 1.0) / per_si, 0.0, per_si)
 
 

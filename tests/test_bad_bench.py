@@ -51,6 +51,11 @@ TABLE = {
     ),
     "session's name": (nothing, "measure rig.toml -o out.txt", r"out\.txt: a session is an \.h5 file"),
     "infinite bound": (edited("model.toml", "upper = 2.5", "upper = inf"), "modes model.toml", r"\.upper: .*finite"),
+    "infinite sensitivity": (
+        rig("sensitivity = 0.0102", "sensitivity = inf"), MEASURE,
+        r"channel\[1\]: .*sensitivity inf must be a finite number",
+    ),
+    "no response": (rig('role = "response"', 'role = "monitor"'), MEASURE, r"channel: none has the role response"),
     "noise": (nothing, SIMULATE + " --noise=-1", r"--noise -1: expected 0 or more"),
     "level": (nothing, SIMULATE + " --level nan", r"--level nan: expected a positive number"),
     "rate": (nothing, SIMULATE + " --rate 0", r"--rate 0: expected a positive number"),

@@ -100,6 +100,12 @@ def test_a_sensor_then_a_force_channel_then_the_inputs(rig):
     assert "100.00 ± " in shown
 
 
+def test_a_common_signal_suits_the_least_range(rig):
+    rig.write_text(RIG.replace("sensitivity = 0.1\n", "sensitivity = 0.1\nfull_scale = 1.0\n"))
+    run(rig, "--inputs", "--seconds", 8)
+    assert read_calibration(rig).responses["tip"].delay == pytest.approx(1e-4, rel=5e-3)
+
+
 def test_the_last_calibration_holds_and_all_can_be_forgotten(rig):
     run(rig, "tip", "--seconds", 2)
     run(rig, "tip", "--seconds", 2, "--level", "10 m/s^2", "--peak", "--frequency", 80)

@@ -89,3 +89,11 @@ def test_a_sine_in_step_with_the_rate_swings_between_no_rails(period):
     assert clipped_runs(np.sin(2 * np.pi * t / period + np.pi / 4) + 1e-4 * np.sin(0.377 * t**1.1)) == []
     few = np.random.default_rng(0).integers(-2, 3, 4000).astype(float)
     assert not [r for r in _both_rails(few, 1.0)]
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5])
+def test_a_signal_of_a_few_of_the_converters_steps_is_coarse_and_not_clipped(steps):
+    rng = np.random.default_rng(3)
+    x = np.round(np.clip(0.4 * steps * rng.standard_normal(20000), -steps, steps)) * 0.0479
+    assert clipped_runs(x) == []
+    assert clipped_runs(x, full_scale=0.0479 * steps)

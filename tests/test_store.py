@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -245,6 +246,30 @@ class TestWhoMayWrite:
         with open_session(path) as session:
             assert session.notice == ""
             assert [run.n_samples for run in session.runs] == [5, 100]
+
+    @pytest.mark.parametrize("removable", [True, False])
+    def test_where_an_open_file_cannot_be_removed_a_closed_session_was_still_closed(
+        self, tmp_path, monkeypatch, removable
+    ):
+        """As on Windows; and in a folder that lets nothing be removed the file stays, and names nobody."""
+        path, order, close, unlink = tmp_path / "s.h5", [], os.close, Path.unlink
+
+        def removed(self, missing_ok=False):
+            if self == lock_path(path):
+                order.append("removed")
+                if not removable:
+                    raise PermissionError
+            unlink(self, missing_ok)
+
+        monkeypatch.setattr("sessions.lock.fcntl", None)
+        monkeypatch.setattr("sessions.lock._lock_byte", lambda fd: None)
+        monkeypatch.setattr("sessions.lock.os.close", lambda fd: (order.append("closed"), close(fd)))
+        monkeypatch.setattr(Path, "unlink", removed)
+        create_session(path).close()
+        assert order[-2:] == ["closed", "removed"]
+        assert lock_path(path).exists() is not removable
+        with open_session(path, "a") as session:
+            assert session.notice == ""
 
     def test_reading_and_closed_sessions_refuse_to_write(self, session):
         session.start_run([FORCE], 10)

@@ -125,10 +125,10 @@ class Task:
         return Candidate(terms, made, made.objective + own + places + given_up)
 
     def _given_up(self, terms: Sequence[Term], made: Fit) -> float:
-        """What the rows of channels that a term gives up would cost if they fitted as well as the others do."""
+        """What the rows of channels that a term gives up would cost if they fitted as the others do, or their noise."""
         n_o, n_i = len(self.engine.outputs), len(self.engine.inputs)
         share = sum(1 / n_o if t.data["dropped"] < n_o else 1 / n_i for t in terms if "dropped" in t.data)
-        return made.data_part * share / (1 - share) if share else 0.0
+        return max(made.data_part / (1 - share), 2.0 * self.data.value.size) * share if share else 0.0
 
 
 def base_fit(task: Task, held: Sequence[Term], start: Point) -> Fit:

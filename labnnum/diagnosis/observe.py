@@ -334,16 +334,26 @@ def flat_top(x: NDArray) -> Clip:
 
 
 def _random(recording: Recording) -> Observation:
-    """H1 with a Hann window over the longest segments that leave thirty averages."""
+    """Local FRFs of the whole record; of several inputs H1 over Hann segments as long as leave thirty averages."""
     from labnnum.estimators import H1
+    from labnnum.local import local_frf
     from labnnum.spectra import Welch
 
     longest = max(stop - start for start, stop in recording.spans())
+    if len(recording.inputs) == 1 and longest > ENOUGH:
+        made = local_frf(recording)
+        assert made.variance is not None
+        made = replace(made, variance=0.5 * made.variance + 0.5 * _smooth(made.variance, 5))  # few degrees of freedom
+        return Observation(_heard(made, 10.0), 0.0, recording.label, "random", recordings=(recording,))
     n = int(2 ** np.floor(np.log2(max(longest / 15, 64))))
     made = H1(Welch(n, window="hann", overlap=0.5))(recording)
     keep = _driven(made)
     frf = _trusted(_with_noise(made.at(keep)))
     return Observation(frf, 0.0, recording.label, "random", recordings=(recording,))
+
+
+ENOUGH = 2048
+"""Samples above which a record has local FRFs: some sixty lines."""
 
 
 def _driven(frf: Frf) -> NDArray[np.bool_]:
@@ -368,11 +378,11 @@ def observe_frf(frf: Frf, label: str = "FRF") -> Observation:
     return Observation(_trusted(_with_noise(frf.at(usable))), float("nan"), label, "frf")
 
 
-def _heard(frf: Frf) -> Frf:
-    """Without the lines where noise drowns every row."""
+def _heard(frf: Frf, least: float = 3.0) -> Frf:
+    """Without the lines where noise drowns every row: those where half of the rows are below `least` deviations."""
     assert frf.variance is not None
     ratio = np.abs(frf.value) / np.maximum(np.sqrt(frf.variance), 1e-300)
-    keep = np.median(ratio.reshape(-1, frf.frequency.size), axis=0) > 3.0
+    keep = np.median(ratio.reshape(-1, frf.frequency.size), axis=0) > least
     return frf.at(keep) if np.count_nonzero(keep) >= 24 else frf
 
 

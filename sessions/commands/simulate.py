@@ -201,7 +201,7 @@ def _excitation(kind, duration, periods, period, detection, low, high, seed):
     from pydantic import ValidationError
 
     from labnnum.errors import ConfigError
-    from sessions.rig import ExcitationTable
+    from sessions.rig_tables import ExcitationTable
 
     name = {"sweep": "chirp"}.get(kind, kind.replace("-", " "))
     asked = {"kind": name, "duration": duration, "periods": periods, "period": period, "seed": seed, "low": low}

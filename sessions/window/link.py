@@ -12,8 +12,11 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import replace
 from multiprocessing.connection import Connection, Listener
 from typing import Any, final
+
+import numpy as np
 
 from labnnum.errors import LabnnumError
 from sessions.display import Display
@@ -45,6 +48,7 @@ class Window(Display):
         super().__init__()
         self._stay = stay
         self._latest: Snapshot | None = None
+        self._shown: Snapshot | None = None
         self._fresh = threading.Condition()
         self._asked = False
         self._commands: list[str] = []
@@ -102,8 +106,15 @@ class Window(Display):
     def show(self, snapshot: Snapshot) -> None:
         """Keep the snapshot for when the window asks; never waits."""
         with self._fresh:
-            self._latest = snapshot
+            self._latest = self._shown = snapshot
             self._fresh.notify()
+
+    def end(self, why: str, failed: bool = False) -> None:
+        """Show the last snapshot with how it ended, and no generator that is on."""
+        nothing = np.zeros((0, 0))
+        last = self._shown or Snapshot("", (), (), 1.0, nothing, np.zeros(0), nothing)
+        nan = float("nan")
+        self.show(replace(last, state=why, finished=True, failed=failed, volts=nan, level=nan, target=nan))
 
     def commands(self) -> list[str]:
         """What the person asked for since the last call."""
@@ -117,13 +128,10 @@ class Window(Display):
 
     def close(self) -> None:
         """Give the window the last snapshot; it stays, or closes."""
-        deadline = time.monotonic() + 1.0
         with self._fresh:
-            while self._latest is not None and self.alive and time.monotonic() < deadline:
-                self._fresh.wait(0.05)
-        self._over = True
-        with self._fresh:
+            self._over = True
             self._fresh.notify()
+        self._threads[0].join(1.0)  # longer than that only a window takes that hangs
         if not self._stay:
             self._tell(CLOSE)
             try:
@@ -145,11 +153,9 @@ class Window(Display):
         while True:
             with self._fresh:
                 self._fresh.wait_for(lambda: self._over or (self._asked and self._latest is not None))
-                if self._over:
-                    return
                 snapshot, self._latest, self._asked = self._latest, None, False
-                self._fresh.notify_all()
-            if not self._tell(snapshot):
+                over = self._over
+            if (snapshot is not None and not self._tell(snapshot)) or over:
                 return
 
     def _receive(self) -> None:

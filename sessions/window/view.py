@@ -7,20 +7,15 @@ from typing import final
 
 import numpy as np
 import pyqtgraph as pg
-from numpy.typing import NDArray
 from PySide6 import QtCore, QtGui, QtWidgets
 
-from sessions.snapshot import Curves, HitLine, Progress, Snapshot, around_pulse, turn_shown
+from sessions.snapshot import Curves, HitLine, Snapshot, around_pulse, turn_shown
+from sessions.window.parts import GREEN, GREY, RED, Hits, Lamps, Plan, Traces
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#8c564b")
-"""Told apart by most colour-blind people as well (Okabe and Ito)."""
-
-GREEN, RED, GREY = "#1b7f3b", "#c62828", "#9e9e9e"
 KEYS = {"A": "accept", "R": "reject", "U": "undo", "N": "next", "Space": "next", "Esc": "stop"}
+STATE = "font-size: 20px; font-weight: bold;"
 SILENCE = 3000
 """ms without a snapshot after which the window says so."""
-MARGIN = 62
-"""Pixels beside every plot for its axis: plots below one another have their frequencies below one another."""
 TITLE = 40
 """Pixels that a window's title bar and frame take at most."""
 
@@ -40,6 +35,8 @@ class View(QtWidgets.QMainWindow):
         self._send = send
         self.snapshot: Snapshot | None = None
         self._closed_in = 0
+        self._judged: HitLine | None = None
+        self._band: tuple[float, float] | None = None
         self.setWindowTitle("labnnum")
         self.resize(_fitting(1500, 900, self.screen().availableSize()))
         pg.setConfigOptions(antialias=False, background="w", foreground="k")
@@ -47,15 +44,20 @@ class View(QtWidgets.QMainWindow):
         self.scope = Traces("time", "s", "responses")
         self.spectrum = Traces("frequency", "Hz", "spectrum", log=True)
         self.magnitude = Traces("frequency", "Hz", "|H|", log=True)
-        self.phase = Traces("frequency", "Hz", "phase, degrees")
-        self.coherence = Traces("frequency", "Hz", "coherence")
+        self.phase = Traces("frequency", "Hz", "phase, degrees", legend=False)
+        self.coherence = Traces("frequency", "Hz", "coherence", legend=False)
         self.hit = Traces("time", "s", "force of the last hit")
         self._settle_axes()
         self.state = QtWidgets.QLabel("waiting for the first samples")
-        self.state.setStyleSheet("font-size: 17px; font-weight: bold;")
+        self.state.setStyleSheet(STATE)
         self.state.setWordWrap(True)
-        self.state.setMinimumHeight(48)
+        self.state.setMinimumHeight(56)
+        self.verdict = QtWidgets.QLabel("")
+        self.verdict.setWordWrap(True)
+        self.verdict.setVisible(False)
         self.level = QtWidgets.QLabel("")
+        self.level.setStyleSheet("font-size: 15px;")
+        self.level.setWordWrap(True)
         self.messages = QtWidgets.QLabel("")
         self.messages.setWordWrap(True)
         self.messages.setStyleSheet("color: #8a5a00;")
@@ -77,6 +79,7 @@ class View(QtWidgets.QMainWindow):
         self.coherence.plot.setYRange(0, 1.02)
         self.phase.plot.setXLink(self.magnitude.plot)
         self.coherence.plot.setXLink(self.magnitude.plot)
+        self.magnitude.plot.setAutoVisible(y=True)  # what is excited sets the scale, not the noise beside it
 
     def _button(self, word: str) -> QtWidgets.QPushButton:
         keys = "/".join(k for k, w in KEYS.items() if w == word)
@@ -113,6 +116,7 @@ class View(QtWidgets.QMainWindow):
         for number, button in enumerate(self.buttons.values()):
             row.addWidget(button, number // 2, number % 2)
         column.addWidget(self.state)
+        column.addWidget(self.verdict)
         column.addWidget(self.level)
         column.addWidget(self.lamps)
         column.addWidget(self.progress, 2)
@@ -141,9 +145,11 @@ class View(QtWidgets.QMainWindow):
         self.snapshot = s
         self._silence.start(SILENCE)
         self.state.setText(s.state if not s.finished else f"finished: {s.state}")
+        self.state.setStyleSheet(f"{STATE} color: {RED};" if s.failed else STATE)
+        self._show_verdict(s)
         self.level.setText(_level(s))
         self.messages.setText("\n".join(s.messages))
-        self.lamps.update_lamps(s.names, s.overload, s.lost, s.overflows)
+        self.lamps.update_lamps(s)
         self.progress.update_items(s.progress)
         self.hits.update_hits(s.hits, s.units[s.inputs[0]] if s.inputs else "")
         labels = [f"{name}, {unit}" for name, unit in zip(s.names, s.units, strict=True)]
@@ -155,12 +161,32 @@ class View(QtWidgets.QMainWindow):
             s.lines, s.spectrum, [f"{name}, {unit}/√Hz" for name, unit in zip(s.names, s.units, strict=True)]
         )
         self._draw_hit(s, labels)
-        self._draw_frf(s.curves)
+        self._draw_frf(s.curves, s.band)
         over = s.finished
+        if over:
+            self._silence.stop()
         self.stop.setEnabled(not over and self.stop.isEnabled())
         for word, button in self.buttons.items():
             button.setVisible(s.judged)
             button.setEnabled(not over and (bool(s.hits) or word == "next"))
+
+    def _show_verdict(self, s: Snapshot) -> None:
+        """The last hit in letters that are read from where the hammer is; a rejected one is heard as well."""
+        last = s.hits[-1] if s.hits and s.judged else None
+        if last == self._judged:
+            return
+        new = last is not None and (self._judged is None or last.index != self._judged.index)
+        self._judged = last
+        self.verdict.setVisible(last is not None)
+        if last is not None:
+            self.verdict.setText(last.headline(s.units[s.inputs[0]] if s.inputs else ""))
+            colour = GREEN if last.accepted else RED
+            self.verdict.setStyleSheet(
+                f"background: {colour}; color: white; font-size: 24px; font-weight: bold; padding: 8px;"
+                " border-radius: 6px;"
+            )
+            if new and not last.accepted:
+                QtWidgets.QApplication.beep()
 
     def _draw_hit(self, s: Snapshot, labels: list[str]) -> None:
         self.hit.plot.setVisible(s.hit is not None)
@@ -170,9 +196,12 @@ class View(QtWidgets.QMainWindow):
             if len(s.hits) != self._closed_in and s.inputs:
                 self._closed_in = len(s.hits)
                 low, high = around_pulse(s.hit[s.inputs[0]])
-                self.hit.plot.setXRange(low / s.rate, high / s.rate)
+                self.hit.show_between(low / s.rate, high / s.rate)
 
-    def _draw_frf(self, c: Curves | None) -> None:
+    def _draw_frf(self, c: Curves | None, band: tuple[float, float] | None = None) -> None:
+        if band is not None and band != self._band:  # once: after that the person may look elsewhere
+            self._band = band
+            self.magnitude.show_between(*band)
         if c is None:
             self.magnitude.plot.setTitle("no average yet")
             for part in (self.magnitude, self.phase, self.coherence):
@@ -196,7 +225,9 @@ class View(QtWidgets.QMainWindow):
         """The measuring process is gone."""
         self._silence.stop()
         if self.snapshot is None or not self.snapshot.finished:
-            self.state.setText("the measurement has ended")
+            self.state.setText("the measurement has ended; the terminal says how")
+            self.level.setText("")
+            self.messages.setText("")
         self.stop.setEnabled(False)
         for button in self.buttons.values():
             button.setEnabled(False)
@@ -212,153 +243,3 @@ def _level(s: Snapshot) -> str:
 def _fitting(width: int, height: int, screen: QtCore.QSize) -> QtCore.QSize:
     """A window of that size, or as much of it as the screen has room for under a title bar: stop must be in reach."""
     return QtCore.QSize(min(width, screen.width()), min(height, screen.height() - TITLE))
-
-
-@final
-class Traces:
-    """A plot with as many curves as it is given."""
-
-    def __init__(self, label: str, unit: str, left: str, log: bool = False) -> None:
-        self.plot = pg.PlotWidget()
-        self._log = log
-        self.curves: list[pg.PlotDataItem] = []
-        item = self.plot.getPlotItem()
-        assert item is not None
-        self._item = item
-        item.setLabel("bottom", f"{label}, {unit}")
-        for axis in ("bottom", "left"):
-            item.getAxis(axis).enableAutoSIPrefix(False)
-        item.setLabel("left", left)
-        item.getAxis("left").setWidth(MARGIN)
-        item.setLogMode(y=log)
-        item.showGrid(x=True, y=True, alpha=0.25)
-        item.setDownsampling(auto=True, mode="peak")
-        item.setClipToView(True)
-        self._legend = item.addLegend(offset=(-6, 4), labelTextSize="8pt", brush=(255, 255, 255, 200))
-
-    def draw(self, x: NDArray, rows: NDArray, names: list[str]) -> None:
-        """One curve a row; what cannot be drawn on a logarithmic axis is left open."""
-        if len(self.curves) != len(rows) or [c.name() for c in self.curves] != names:
-            self._renew(names)
-        for curve, row in zip(self.curves, rows, strict=True):
-            shown = np.where(row > 0, row, np.nan) if self._log else row
-            curve.setData(x, shown, connect="finite")
-
-    def _renew(self, names: list[str]) -> None:
-        for curve in self.curves:
-            self._item.removeItem(curve)
-        self._legend.clear()
-        self.curves = [
-            self._item.plot([], [], pen=pg.mkPen(COLOURS[i % len(COLOURS)], width=1), name=name)
-            for i, name in enumerate(names)
-        ]
-
-
-@final
-class Lamps(QtWidgets.QWidget):
-    """One lamp a channel, red once it met the end of its range; and one for lost frames."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._grid = QtWidgets.QGridLayout(self)
-        self._grid.setContentsMargins(0, 0, 0, 0)
-        self.lamps: list[QtWidgets.QLabel] = []
-
-    def update_lamps(self, names: tuple[str, ...], overload: tuple[bool, ...], lost: int, overflows: int) -> None:
-        """Light them."""
-        while len(self.lamps) < len(names) + 1:
-            lamp = QtWidgets.QLabel()
-            lamp.setAlignment(QtCore.Qt.AlignmentFlag.AlignCenter)
-            self._grid.addWidget(lamp, len(self.lamps) // 4, len(self.lamps) % 4)
-            self.lamps.append(lamp)
-        for lamp, name, over in zip(self.lamps, names, [*overload, *[False] * len(names)], strict=False):
-            _lamp(lamp, f"{name} OVER" if over else name, RED if over else GREEN)
-        gaps = bool(lost or overflows)
-        _lamp(
-            self.lamps[len(names)], f"{lost} lost, {overflows} overflows" if gaps else "no gaps", RED if gaps else GREEN
-        )
-
-
-def _lamp(label: QtWidgets.QLabel, text: str, colour: str) -> None:
-    if label.text() != text:
-        label.setText(text)
-        label.setStyleSheet(f"background: {colour}; color: white; border-radius: 4px; padding: 3px;")
-
-
-@final
-class Plan(QtWidgets.QTreeWidget):
-    """The items of the plan, each with its bar; the current one is marked."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.setHeaderLabels(["plan", "done"])
-        self.setRootIsDecorated(False)
-        self.setFocusPolicy(QtCore.Qt.FocusPolicy.NoFocus)
-        self.setColumnWidth(0, 220)
-        self._bars: list[QtWidgets.QProgressBar] = []
-
-    def update_items(self, items: tuple[Progress, ...]) -> None:
-        """Bring bars and marks up to date."""
-        while self.topLevelItemCount() < len(items):
-            row, bar = QtWidgets.QTreeWidgetItem([""]), QtWidgets.QProgressBar()
-            bar.setMaximumHeight(16)
-            self.addTopLevelItem(row)
-            self.setItemWidget(row, 1, bar)
-            self._bars.append(bar)
-        for number, (item, bar) in enumerate(zip(items, self._bars, strict=True)):
-            row = self.topLevelItem(number)
-            assert row is not None
-            font = row.font(0)
-            font.setBold(item.current)
-            row.setFont(0, font)
-            row.setText(0, f"▶ {item.key}" if item.current else item.key)
-            bar.setMaximum(max(item.total, 1))
-            bar.setValue(min(item.done, item.total))
-            bar.setFormat(f"{item.done}/{item.total}" if item.total <= 100 else "%p%")
-
-
-@final
-class Hits(QtWidgets.QTableWidget):
-    """Every hit with its verdict and reason; the last at the top."""
-
-    def __init__(self) -> None:
-        super().__init__(0, 4)
-        self.setHorizontalHeaderLabels(["hit", "peak", "", "why"])
-        self.verticalHeader().setVisible(False)
-        header = self.horizontalHeader()
-        header.setSectionResizeMode(3, QtWidgets.QHeaderView.ResizeMode.Stretch)
-        for column, width in ((0, 36), (1, 64), (2, 76)):
-            self.setColumnWidth(column, width)
-        self.setWordWrap(True)
-        self.setSelectionBehavior(QtWidgets.QAbstractItemView.SelectionBehavior.SelectRows)
-        self.setSelectionMode(QtWidgets.QAbstractItemView.SelectionMode.SingleSelection)
-        self.setEditTriggers(QtWidgets.QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setFocusPolicy(QtCore.Qt.FocusPolicy.ClickFocus)
-        self._shown: tuple[HitLine, ...] = ()
-        self.setVisible(False)
-
-    def update_hits(self, hits: tuple[HitLine, ...], unit: str = "") -> None:
-        """Bring the table up to date."""
-        if hits == self._shown:
-            return
-        self.setHorizontalHeaderLabels(["hit", f"peak, {unit}" if unit else "peak", "", "why"])
-        grown = len(hits) != len(self._shown)
-        self._shown = hits
-        self.setVisible(bool(hits))
-        self.setRowCount(len(hits))
-        for row, hit in enumerate(reversed(hits)):
-            word = "accepted" if hit.accepted else "rejected"
-            for column, text in enumerate((str(hit.index), f"{hit.peak:.4g}", word, hit.reason)):
-                cell = QtWidgets.QTableWidgetItem(text)
-                if column == 2:
-                    cell.setForeground(QtGui.QColor(GREEN if hit.accepted else RED))
-                cell.setToolTip(hit.reason)
-                self.setItem(row, column, cell)
-        self.resizeRowsToContents()
-        if grown:
-            self.clearSelection()
-
-    def chosen(self) -> int | None:
-        """Number of the selected hit; None if none is."""
-        rows = self.selectionModel().selectedRows() if self._shown else []
-        return self._shown[len(self._shown) - 1 - rows[0].row()].index if rows else None

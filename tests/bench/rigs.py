@@ -1,5 +1,7 @@
 """Rigs and a structure that the tests of whole runs share."""
 
+import json
+
 import numpy as np
 
 from labnnum.errors import DeviceLostError
@@ -7,25 +9,23 @@ from labnnum.response import frf
 from sessions.model import read_model
 from sessions.rig import parse_rig
 
-MODEL = """
-[structure]
-kind = "chain"
-base = "{base}"
-[[structure.mass]]
-node = "1"
-mass = 2.0
-[[structure.mass]]
-node = "2"
-mass = 1.0
-[[structure.link]]
-between = ["1", "ground"]
-stiffness = 8e5
-damping = 80.0
-[[structure.link]]
-between = ["1", "2"]
-stiffness = 5e5
-damping = 50.0
-"""
+
+def chain_toml(masses, links, base=None):
+    """model.toml of a chain: its masses by node, and its links as (node, node, stiffness, damping)."""
+    lines = ["[structure]", 'kind = "chain"', *([] if base is None else [f"base = {json.dumps(base)}"])]
+    for node, mass in masses.items():
+        lines += ["[[structure.mass]]", f"node = {json.dumps(node)}", f"mass = {mass!r}"]
+    for a, b, stiffness, damping in links:
+        lines += ["[[structure.link]]", f"between = {json.dumps([a, b])}"]
+        lines += [f"stiffness = {json.dumps(stiffness)}", f"damping = {damping!r}"]
+    return "\n".join(["", *lines, ""])
+
+
+def two_masses(base=None, first=8e5, damping=(80.0, 50.0)):
+    """A chain of 2 kg and 1 kg on the ground; `first` may name a parameter."""
+    links = [("1", "ground", first, damping[0]), ("1", "2", 5e5, damping[1])]
+    return chain_toml({"1": 2.0, "2": 1.0}, links, base)
+
 
 HAMMER = """
 [device]
@@ -103,10 +103,80 @@ BASE = {"name": "table", "role": "base", "unit": "m/s^2", "place": 'direction = 
 
 
 def rig_of(folder, text, base=""):
-    (folder / "model.toml").write_text(MODEL.format(base=base))
+    (folder / "model.toml").write_text(two_masses(base))
     path = folder / "rig.toml"
     path.write_text(text)
     return parse_rig(text, path)
+
+
+LIVE = """
+[device]
+rate = 4096
+block = 256
+real_time = true
+buffer = 0.5
+[[channel]]
+name = "hammer"
+role = "reference"
+unit = "N"
+sensitivity = 0.02
+[[channel]]
+name = "a1"
+unit = "m/s^2"
+sensitivity = 0.01
+node = "1"
+direction = "x"
+[trigger]
+pre = 0.05
+duration = 0.3
+[plan]
+points = ["1:x"]
+hits = 3
+[simulated.hammer]
+tip = "rubber"
+interval = 0.45
+"""
+
+AUDIO_RATE = 8000
+AUDIO = f"""
+[device]
+kind = "audio"
+name = "pulse"
+rate = {AUDIO_RATE}
+block = 512
+latency = 0.2
+channels = 4
+[[channel]]
+name = "f"
+role = "reference"
+unit = "N"
+sensitivity = 0.01
+full_scale = 10.0
+node = "1"
+direction = "x"
+[[channel]]
+name = "a1"
+unit = "m/s^2"
+sensitivity = 0.01
+full_scale = 10.0
+node = "1"
+direction = "x"
+[[channel]]
+name = "a2"
+unit = "m/s^2"
+sensitivity = 0.01
+full_scale = 10.0
+node = "2"
+direction = "x"
+"""
+
+
+def live_rig(folder, *changes, mass=1.0, stiffness=1e6, damping=60.0):
+    """A hammer at one mass on a spring, in real time, for what looks on."""
+    (folder / "model.toml").write_text(chain_toml({"1": mass}, [("1", "ground", stiffness, damping)]))
+    path = folder / "rig.toml"
+    path.write_text(_changed(LIVE, changes))
+    return parse_rig(path.read_text(), path)
 
 
 def hammer_rig(folder, *changes):

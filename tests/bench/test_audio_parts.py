@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.audio import AudioDigitiser
+from drivers.audio import AudioDigitiser, checked
 from drivers.clock import Clock, drift_between
 from drivers.generators.audio_output import AudioOutput, Goal, Player, Tone, Wave
 from drivers.ring import Ring
-from labnnum.errors import ProtocolError
+from labnnum.errors import DeviceNotFoundError, ProtocolError
 
 
 def numbered(start, n):
@@ -249,3 +249,29 @@ def test_silence_while_nothing_is_to_be_played():
     rendered(player, 10)
     assert player.begun.is_set()
     assert player.begin == 50
+
+
+@pytest.mark.parametrize("direction", ["input", "output"])
+def test_a_device_that_was_plugged_in_since_is_found_and_one_that_was_not_is_named(monkeypatch, direction):
+    there, looked = [], []
+    fake = SimpleNamespace(
+        PortAudioError=OSError,
+        query_devices=lambda number=None: there if number is None else there[number],
+        query_hostapis=lambda: [{"name": "ALSA"}],
+        _terminate=lambda: looked.append("again"),
+        _initialize=lambda: there.append(
+            {"name": "Scarlett", "hostapi": 0, "default_samplerate": 48e3}
+            | {"max_input_channels": 2, "max_output_channels": 2}
+        ),
+        check_input_settings=lambda **_: None,
+        check_output_settings=lambda **_: None,
+    )
+    monkeypatch.setattr("drivers.audio.portaudio", lambda: fake)
+    monkeypatch.setattr("drivers.audio._OPEN", [])
+    assert checked("scarlett", direction, 2, 48000.0) == 0
+    assert looked == ["again"]
+    monkeypatch.setattr("drivers.audio._OPEN", ["another device of this process"])  # which a new look would lose
+    there.clear()
+    with pytest.raises(DeviceNotFoundError, match="no audio device is called 'scarlett'"):
+        checked("scarlett", direction, 2, 48000.0)
+    assert looked == ["again"]

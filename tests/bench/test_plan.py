@@ -16,25 +16,9 @@ from sessions.cli import app
 from sessions.plan import LINES, Wishes, propose
 from sessions.rig import parse_rig
 
+from .rigs import two_masses
+
 CHAIN = Chain(masses={"1": 2.0, "2": 1.0}, links=(Link("1", "ground", 8e5, 80.0), Link("1", "2", 5e5, 50.0)))
-MODEL = """
-[structure]
-kind = "chain"
-[[structure.mass]]
-node = "1"
-mass = 2.0
-[[structure.mass]]
-node = "2"
-mass = 1.0
-[[structure.link]]
-between = ["1", "ground"]
-stiffness = 8e5
-damping = 80.0
-[[structure.link]]
-between = ["1", "2"]
-stiffness = 5e5
-damping = 50.0
-"""
 CHANNELS = """
 [[channel]]
 name = "force"
@@ -103,7 +87,7 @@ def test_a_proposal_runs_and_reaches_its_random_error(tmp_path, kind):
     place = "" if kind == "hammer" else 'node = "1"\ndirection = "x"'
     text = made.toml + CHANNELS.format(place=place, interval=2.0)
     text = text.replace("[plan]", '[plan]\npoints = ["1:x"]')
-    (tmp_path / "model.toml").write_text(MODEL)
+    (tmp_path / "model.toml").write_text(two_masses())
     outcome = measure(parse_rig(text, tmp_path / "rig.toml"), tmp_path / "out.h5")
     assert outcome.complete
     found = next(iter(outcome.frfs.values()))
@@ -133,7 +117,7 @@ def test_a_structure_driven_by_its_base_is_not_hammered():
 
 def test_command(tmp_path):
     path = tmp_path / "model.toml"
-    path.write_text(MODEL)
+    path.write_text(two_masses())
     result = CliRunner().invoke(app, ["plan", str(path), "--excitation", "stepped-sine", "--json"])
     assert result.exit_code == 0
     told = json.loads(result.stdout)

@@ -12,6 +12,8 @@ import pytest
 
 from sessions.store import open_session
 
+from .rigs import live_rig
+
 NEEDED = ("Xvfb", "import", "xdotool")
 MISSING = [tool for tool in NEEDED if shutil.which(tool) is None]
 pytestmark = [
@@ -19,44 +21,13 @@ pytestmark = [
     pytest.mark.usefixtures("qtbot"),
 ]
 
-RIG = """
-[device]
-rate = 2048
-block = 256
-real_time = true
-[[channel]]
-name = "hammer"
-role = "reference"
-unit = "N"
-sensitivity = 0.02
-[[channel]]
-name = "a1"
-unit = "m/s^2"
-sensitivity = 0.01
-node = "1"
-direction = "x"
-[trigger]
-pre = 0.05
-duration = 0.4
-[plan]
-points = ["1:x", "1:-x"]
-hits = 40
-[simulated.hammer]
-tip = "rubber"
-interval = 0.6
-double = 0.3
-"""
-MODEL = """
-[structure]
-kind = "chain"
-[[structure.mass]]
-node = "1"
-mass = 1.0
-[[structure.link]]
-between = ["1", "ground"]
-stiffness = 1e5
-damping = 40.0
-"""
+CHANGES = (
+    ("rate = 4096", "rate = 2048"),
+    ("buffer = 0.5\n", ""),
+    ('["1:x"]\nhits = 3', '["1:x", "1:-x"]\nhits = 40'),
+    ("duration = 0.3", "duration = 0.4"),
+    ("interval = 0.45", "interval = 0.6\ndouble = 0.3"),
+)
 
 
 @pytest.fixture
@@ -104,8 +75,7 @@ def _rejected(path: Path) -> bool:
 
 
 def test_a_session_on_a_screen(tmp_path, screen):
-    (tmp_path / "model.toml").write_text(MODEL)
-    (tmp_path / "rig.toml").write_text(RIG)
+    live_rig(tmp_path, *CHANGES, stiffness=1e5, damping=40.0)
     out = tmp_path / "out.h5"
     probe = subprocess.run(
         [sys.executable, "-c", "from PySide6.QtWidgets import QApplication; QApplication([])"],

@@ -5,6 +5,7 @@ import pytest
 
 from labnnum.response import frf
 from sessions.bench import measure
+from sessions.display import Display
 from sessions.items import waveform
 from sessions.model import read_model
 from sessions.reprocess import FrfSettings, reprocess
@@ -99,3 +100,21 @@ def test_a_recording_without_excitation(tmp_path):
         recording = session.recordings()[0]
     assert recording.duration >= 3.0
     assert recording.data[1].std() == pytest.approx(0.01, rel=0.1)
+
+
+def test_the_item_that_is_measured_is_marked_while_its_level_is_raised(tmp_path):
+    class Watching(Display):
+        def __init__(self):
+            super().__init__()
+            self.seen = []
+
+        def wants(self):
+            return not self.seen
+
+        def show(self, snapshot):
+            self.seen.append((snapshot.state, [p.key for p in snapshot.progress if p.current]))
+
+    watching = Watching()
+    measure(shaker_rig(tmp_path), tmp_path / "out.h5", watching)
+    assert watching.seen[0] == ("raising to 0.5 N RMS", ["multisine 0.5 #1"])
+    assert watching.seen[-1][1] == ["multisine 2 #1"]

@@ -12,29 +12,16 @@ from sessions.cli import app
 from sessions.model import read_model
 from sessions.store import open_session
 
-CHAIN = """
-[structure]
-kind = "chain"
-[[structure.mass]]
-node = "1"
-mass = 2.0
-[[structure.mass]]
-node = "2"
-mass = 1.0
-[[structure.link]]
-between = ["1", "ground"]
-stiffness = "k1"
-damping = 20.0
-[[structure.link]]
-between = ["1", "2"]
-stiffness = 5e5
-damping = 10.0
+from .rigs import two_masses
+
+K1 = """
 [[parameter]]
 name = "k1"
 nominal = 8e5
 lower = 6e5
 upper = 1e6
 """
+CHAIN = two_masses(first="k1", damping=(20.0, 10.0)) + K1
 
 
 @pytest.fixture

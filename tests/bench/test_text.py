@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ def snapshot(**more) -> Snapshot:
     given = {
         "curves": drawn,
         "hits": (HitLine(0, True, "all checks passed", 80.0), HitLine(1, False, "double hit: 30 %", 90.0)),
-        "overload": (False, True), "time": 12.5, "lost": 3, "progress": (Progress("hammer 1:x", 2, 5, True),),
+        "overload": (False, True), "over_now": (False, True),
+        "time": 12.5, "lost": 3, "progress": (Progress("hammer 1:x", 2, 5, True),),
         "messages": ("mind the cable",), "level": 0.5, "target": 0.6, "level_unit": "N", "volts": 0.25,
     }  # fmt: skip
     return Snapshot("point 1:x: strike", **scope_view(CHANNELS, 1024.0, scope), **(given | more))
@@ -73,6 +75,26 @@ def test_no_terminal_no_keys(monkeypatch):
     keys = Keys()
     assert keys.pressed() == []
     keys.close()
+
+
+def test_keys_of_a_windows_console(monkeypatch):
+    typed = list("a\xe0Hr")  # an arrow key between two commands
+    console = SimpleNamespace(kbhit=lambda: bool(typed), getwch=lambda: typed.pop(0))
+    monkeypatch.setitem(sys.modules, "termios", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", console)
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    keys = Keys()
+    assert keys.pressed() == ["a", "r"]
+    assert keys.pressed() == []
+    keys.close()
+
+
+def test_the_last_hit_stands_out_and_an_overload_that_is_over_is_told_apart():
+    drawn = shown(snapshot())
+    assert "hit 1 rejected, 90 N: double hit: 30 %" in drawn
+    now = snapshot(overload=(True, True), over_now=(False, True))
+    assert "was over" in shown(now)
+    assert "OVERLOAD" in shown(now)
 
 
 def test_quiet_keeps_the_last():

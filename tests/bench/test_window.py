@@ -11,9 +11,11 @@ import pytest
 from labnnum.errors import LabnnumError
 from labnnum.recording import Channel
 from sessions.bench import measure
-from sessions.rig import parse_rig
+from sessions.display import Display
 from sessions.snapshot import Curves, HitLine, Progress, Snapshot, scope_view
 from sessions.store import open_session
+
+from .rigs import live_rig
 
 needs_qt = pytest.mark.usefixtures("qtbot")
 CHANNELS = (Channel("hammer", "force", "reference"), Channel("a1"), Channel("a2"))
@@ -56,7 +58,9 @@ def test_everything_is_shown(view):
     for part in (view.magnitude, view.phase, view.coherence):
         assert len(part.curves) == 2
         assert part.curves[0].getOriginalDataset()[0].size == 200
-    assert [lamp.text() for lamp in view.lamps.lamps] == ["hammer", "a1 OVER", "a2", "3 lost, 0 overflows"]
+    assert [lamp.text() for lamp in view.lamps.lamps] == ["hammer", "a1 was over", "a2", "3 lost, 0 overflows"]
+    view.show_snapshot(snapshot(over_now=(False, True, False)))
+    assert view.lamps.lamps[1].text() == "a1 OVER"
     assert view.hits.item(1, 3).text() == "double hit: 30 %"
     assert view.hits.item(1, 2).text() == "rejected"
     assert view.progress.topLevelItem(1).text(0) == "▶ hammer 2:x"
@@ -134,6 +138,33 @@ def test_it_says_when_news_stop_and_when_it_is_over(view, qtbot, monkeypatch):
     assert not view.buttons["accept"].isEnabled()
 
 
+def test_the_last_hit_is_written_large_and_a_rejected_one_is_heard_once(view, monkeypatch):
+    heard = []
+    monkeypatch.setattr("PySide6.QtWidgets.QApplication.beep", lambda: heard.append(1))
+    view.show_snapshot(snapshot(0))
+    assert not view.verdict.isVisible()
+    view.show_snapshot(snapshot(1))
+    assert view.verdict.text() == "hit 0 accepted, 80 N"
+    assert heard == []
+    for _ in range(2):
+        view.show_snapshot(snapshot(2))
+    assert view.verdict.text() == "hit 1 rejected, 81 N: double hit: 30 %"
+    assert heard == [1]
+    second = snapshot(2)
+    view.show_snapshot(replace(second, hits=(second.hits[0], replace(second.hits[1], accepted=True))))
+    assert view.verdict.text() == "hit 1 accepted, 81 N"
+    assert heard == [1]
+
+
+def test_what_is_excited_fills_the_plots_until_the_person_looks_elsewhere(view):
+    view.show_snapshot(snapshot(band=(20.0, 300.0)))
+    (low, high), _ = view.coherence.plot.viewRange()
+    assert (low, high) == pytest.approx((20, 300), abs=30)
+    view.magnitude.plot.setXRange(100, 110)
+    view.show_snapshot(snapshot(band=(20.0, 300.0)))
+    assert view.magnitude.plot.viewRange()[0] == pytest.approx([100, 110], abs=2)
+
+
 def test_a_hundred_pictures(view, qtbot):
     for k in range(100):
         view.show_snapshot(snapshot(k % 5, curves=None if k % 7 == 0 else snapshot().curves))
@@ -151,49 +182,8 @@ def test_a_snapshot_computes_its_spectrum_right():
     assert view["lines"][np.argmax(density)] == pytest.approx(100.0)
 
 
-RIG = """
-[device]
-rate = 4096
-block = 256
-real_time = true
-buffer = 0.5
-[[channel]]
-name = "hammer"
-role = "reference"
-unit = "N"
-sensitivity = 0.02
-[[channel]]
-name = "a2"
-unit = "m/s^2"
-sensitivity = 0.01
-node = "1"
-direction = "x"
-[trigger]
-pre = 0.05
-duration = 0.3
-[plan]
-points = ["1:x"]
-hits = {hits}
-[simulated.hammer]
-tip = "rubber"
-interval = 0.45
-"""
-MODEL = """
-[structure]
-kind = "chain"
-[[structure.mass]]
-node = "1"
-mass = 1.0
-[[structure.link]]
-between = ["1", "ground"]
-stiffness = 1e6
-damping = 60.0
-"""
-
-
-def rig_of(folder, hits):
-    (folder / "model.toml").write_text(MODEL)
-    return parse_rig(RIG.format(hits=hits), folder / "rig.toml")
+def rig_of(folder, hits, real_time="true"):
+    return live_rig(folder, ("hits = 3", f"hits = {hits}"), ("real_time = true", f"real_time = {real_time}"))
 
 
 @needs_qt
@@ -205,6 +195,70 @@ def test_a_real_window_lives_through_a_real_time_session(tmp_path):
         assert window.alive
     assert outcome.complete
     assert window.process.returncode == 0
+
+
+@needs_qt
+@pytest.mark.parametrize("shown", [True, False])
+def test_the_end_is_told_with_its_reason_and_no_generator_stays_on_in_the_picture(tmp_path, view, shown, monkeypatch):
+    from sessions.window.link import Window
+
+    told = []
+    with Window(stay=False) as window:
+        if shown:
+            window.show(snapshot(0, volts=0.4, level=1.9, target=2.0, level_unit="N", judged=False))
+        monkeypatch.setattr(window, "show", told.append)
+        window.end("channel 'a1' reached 9 m/s^2, over its stop limit 5 m/s^2", failed=True)
+    view.show_snapshot(told[0])
+    assert "finished: channel 'a1' reached 9" in view.state.text()
+    assert "generator" not in view.level.text()
+    assert not view.stop.isEnabled()
+
+
+@needs_qt
+def test_the_last_picture_arrives_however_soon_the_measurement_closes(monkeypatch):
+    from sessions.window import link
+
+    sent = []
+    monkeypatch.setattr(link.Window, "_tell", lambda self, what: sent.append(what) or True)
+    for _ in range(2):
+        with link.Window(stay=False) as window:
+            window.show(snapshot(0))
+            window.end("the plan is complete")
+            window.process.kill()  # nobody asks any more
+        assert sent[-2].state == "the plan is complete"
+        assert sent[-1] == link.CLOSE
+
+
+class Listening(Display):
+    """Hears how it ended."""
+
+    def show(self, snapshot): ...
+
+    def end(self, why, failed=False):
+        self.ended = (why, failed)
+
+
+def test_every_end_reaches_the_display(tmp_path):
+    rig = rig_of(tmp_path, 2, "false")
+    seen = Listening()
+    measure(rig, tmp_path / "a.h5", seen)
+    assert seen.ended == ("the plan is complete", False)
+    with pytest.raises(LabnnumError):
+        measure(rig_of(tmp_path, 3, "false"), tmp_path / "a.h5", seen)
+    assert "begun with another rig.toml" in seen.ended[0]
+    assert seen.ended[1]
+    stopping = Listening()
+    stopping.commands = lambda: ["stop"]
+    measure(rig, tmp_path / "b.h5", stopping)
+    assert stopping.ended == ("stopped by the user; the same command goes on from here", False)
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    stopping.commands = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        measure(rig, tmp_path / "c.h5", stopping)
+    assert stopping.ended == ("interrupted; the same command goes on from here", False)
 
 
 @needs_qt

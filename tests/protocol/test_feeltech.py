@@ -10,6 +10,8 @@ from drivers.generators.simulated import SimulatedFeelTech, SimulatedLine
 from drivers.transport import ScriptedTransport
 from labnnum.errors import DeviceTimeoutError, ProtocolError
 
+from .playing import played
+
 OFF = [(b"WMN0\n", b"\n"), (b"RMN\n", b"0\n")]
 GREETING = [
     (b"UMO\n", b"FY6800-60M\n"),
@@ -168,14 +170,7 @@ def test_offsets_survive_the_unsigned_detour(millivolts):
 )
 def test_whatever_is_set_is_what_the_simulated_instrument_plays(hertz, volts, offset, point, wraps):
     instrument = SimulatedFeelTech(point=point, wraps=wraps, empty=3)
-    with FeelTech(SimulatedLine(instrument), pause=0.0) as generator:
-        generator.set_frequency(hertz)
-        generator.set_amplitude(volts)
-        generator.set_offset(offset)
-        generator.output(True)
-        played = instrument.settings
-    assert abs(played.frequency - hertz) < 1e-6
-    assert abs(played.amplitude - volts) <= 0.3e-3
-    assert abs(played.offset - offset) <= 0.6e-3
-    assert played.output
-    assert not instrument.settings.output
+    heard = played(FeelTech(SimulatedLine(instrument), pause=0.0), instrument, hertz, volts, offset)
+    assert abs(heard.frequency - hertz) < 1e-6
+    assert abs(heard.amplitude - volts) <= 0.3e-3
+    assert abs(heard.offset - offset) <= 0.6e-3

@@ -9,6 +9,8 @@ from drivers.generators.simulated import SimulatedJunce, SimulatedLine
 from drivers.transport import ScriptedTransport
 from labnnum.errors import ConfigError, DeviceTimeoutError, ProtocolError
 
+from .playing import played
+
 OK = b":ok\r\n"
 GREETING = [(b":r00=0.\r\n", b":r00=60.\r\n"), (b":r01=0.\r\n", b":r01=1710301.\r\n")]
 OFF = [
@@ -133,15 +135,8 @@ def test_another_make_is_named():
 @given(hertz=st.floats(1e-3, 6e7), volts=st.floats(0.001, 5), offset=st.floats(-5, 5))
 def test_whatever_is_set_is_what_the_simulated_instrument_plays(hertz, volts, offset):
     instrument = SimulatedJunce()
-    with Junce(SimulatedLine(instrument), pause=0.0) as generator:
-        generator.set_frequency(hertz)
-        generator.set_amplitude(volts)
-        generator.set_offset(offset)
-        generator.output(True)
-        played = instrument.settings
-    assert abs(played.frequency - hertz) <= max(0.0051 if hertz > 21e3 else 0.51e-5, 1e-9 * hertz)
-    assert abs(played.amplitude - volts) <= 0.26e-3
-    assert abs(played.offset - offset) <= 5.1e-3
-    assert played.output
-    assert not instrument.settings.output
+    heard = played(Junce(SimulatedLine(instrument), pause=0.0), instrument, hertz, volts, offset)
+    assert abs(heard.frequency - hertz) <= max(0.0051 if hertz > 21e3 else 0.51e-5, 1e-9 * hertz)
+    assert abs(heard.amplitude - volts) <= 0.26e-3
+    assert abs(heard.offset - offset) <= 5.1e-3
     assert instrument.registers[20] == [0, 1]

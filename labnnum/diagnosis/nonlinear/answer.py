@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.detect import signs
-from labnnum.diagnosis.nonlinear.further import further
+from labnnum.diagnosis.nonlinear.further import further, needed
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.lines import choose_lines
@@ -21,7 +21,18 @@ from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places, base_again, of_known, refined, search
+from labnnum.diagnosis.nonlinear.study import (
+    Prospect,
+    Study,
+    Tried,
+    at_places,
+    base_again,
+    explore,
+    of_known,
+    refined,
+    search,
+)
+from labnnum.diagnosis.nonlinear.suspect import heard, suspect, without
 from labnnum.diagnosis.nonlinear.timing import Timed, timing, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -74,6 +85,8 @@ class NonlinearAnswer:
     misfit: float
     base_x: NDArray[np.float64]
     """Vector of the base model that errors are compared with: fitted to all runs, an identified one to the quietest."""
+    lying: int | None = None
+    """Number of a response that was left out, because a law explains the others far better without it."""
 
 
 def answer(
@@ -126,7 +139,18 @@ def answer(
     timed = timing(train, every) if nearly else []
     if told(timed, limits):
         every = [s for s in every if s.place == timed[0].spot.place]
-    found = search(engine, point, runs, i, every, scatter, progress=progress)
+
+    def exploring(some: Sequence[Observation]) -> Prospect | None:
+        own = base_point(engine, some[i], scatter, span)
+        return explore(engine, own, [o.run for o in some if o.run is not None], i, every, scatter, progress=progress)
+
+    seen = explore(engine, point, runs, i, every, scatter, progress=progress)
+    lying = suspect(train, seen, exploring) if not (whole or nearly) else None
+    if lying is not None:
+        progress(f"without channel {runs[0].outputs[lying[0]].name}")
+        train, test = ([without(o, lying[0]) for o in part] for part in (train, test))
+        seen = lying[1]
+    found = None if seen is None else search(seen, progress)
     if found is None:
         return None
     progress("comparing places and laws")
@@ -139,7 +163,8 @@ def answer(
     if more:
         progress("fitting records that are not periodic")
         laws[-1] = joined(found, laws[-1], more, scatter)
-    return _decide(found, laws, train, test, scatter, limits, whole, nearly or NEARLY, timed)
+    made = _decide(found, laws, train, test, scatter, limits, whole, nearly or NEARLY, timed)
+    return made if lying is None else replace(made, lying=lying[0])
 
 
 def _within(o: Observation, span: tuple[float, float]) -> Observation:
@@ -157,7 +182,10 @@ def _chain(
     found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
     limits: Limits, progress: Callable[[str], None],
 ) -> list[Tried]:  # fmt: skip
-    """The best law, then one more at a time while the prediction of held-out runs gains; at last a general one."""
+    """The best law, then one more at a time while the prediction of held-out runs gains; at last a general one.
+
+    Laws that those found later make needless are taken out again.
+    """
     laws = [found.best]
     if laws[0].made.data_part < 1.3 * laws[0].made.count:
         return laws
@@ -179,7 +207,7 @@ def _chain(
             continue
         laws.append(more)
         error = told
-    return laws
+    return needed(found, laws, scatter, limits.further) if len(laws) > 1 else laws
 
 
 def _levels(train: Sequence[Observation], runs: list[Run], most: int = 4) -> tuple[list[Observation], list[Run]]:
@@ -196,7 +224,7 @@ def _rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
     own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
     near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
-    return at_places(found, best, near, scatter, most=2)
+    return at_places(found, best, near[:3], scatter)
 
 
 RIVAL = 0.8
@@ -325,8 +353,9 @@ def _noise(observations: Sequence[Observation]) -> float:
     parts = []
     for o in observations:
         assert o.run is not None
-        at = o.run.compared
-        parts.append(np.sum(o.run.noise[:, at], axis=1) / np.sum(np.abs(o.run.seen(o.run.y)[:, at]) ** 2, axis=1))
+        at, known = o.run.compared, heard(o.run)
+        ratio = np.sum(o.run.noise[:, at], axis=1) / np.sum(np.abs(o.run.seen(o.run.y)[:, at]) ** 2, axis=1)
+        parts.append(np.mean(ratio[known]))
     return float(np.sqrt(np.mean(parts)))
 
 
@@ -363,7 +392,7 @@ def _errors_of(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) ->
     for run, lines, part in zip(joint.runs, joint.lines, np.split(left, cuts[:-1], axis=1), strict=True):
         spread = np.tile(lines.sigma, 2) / np.sqrt(2.0)
         power = np.sum(np.abs(run.seen(run.y)[:, lines.at]) ** 2, axis=1)
-        each.append(np.mean(np.sum((part * spread) ** 2, axis=1) / power))
+        each.append(np.mean((np.sum((part * spread) ** 2, axis=1) / power)[heard(run)]))
     train, test = each[:n_train], each[n_train:] or each[:n_train]
     return float(np.sqrt(np.mean(train))), float(np.sqrt(np.mean(test)))
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, general_lead, law_leads, ranked, recover
-from labnnum.diagnosis.nonlinear.problem import Joint, fit
+from labnnum.diagnosis.nonlinear.problem import Joint, Made, fit
 from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.diagnosis.nonlinear.study import LAWS, Study, Tried, cost
 from labnnum.errors import EstimationError
@@ -38,7 +40,7 @@ def further(
     chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     held = first.made.terms
     joint = Joint(engine, point, runs, held, scatter, chosen)
-    made = fit(joint, first.made.x, first.made.orbits, steps=2, exact=False)
+    made = fit(joint, first.made.x, first.made.orbits, steps=2)
     background = Background(joint, made.x, made.orbits)
     here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
     found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])
@@ -56,7 +58,7 @@ def further(
         x = np.concatenate([base, np.zeros(m), laws, lead.p[: lead.acting().n]])
         start = [_with_one_more(o) for o in made.orbits]
         try:
-            one = fit(more, x, start, steps=8, exact=False)
+            one = fit(more, x, start, steps=8)
         except (EstimationError, np.linalg.LinAlgError):
             continue
         tried = Tried(lead, one, cost(one, lead.mechanism))
@@ -80,3 +82,72 @@ def _with_one_more(o: Orbit | None) -> Orbit | None:
         np.hstack([o.time, np.zeros((o.time.shape[0], 1))]),
         np.concatenate([o.motion, np.zeros((o.motion.shape[0], 1, 2))], axis=1), o.closing,
     )  # fmt: skip
+
+
+def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, lines: int = 250) -> list[Tried]:
+    """The laws of a chain without those that it can spare, each fitted with those before it.
+
+    A law is spared where the others, fitted again, lose less than `alarm` without it. The last fit of the chain that is
+    left holds all of its laws, the one that is missed most first.
+    """
+    chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
+
+    def fitted(some: Sequence[Tried], start: Tried, terms: Sequence[int]) -> Made | None:
+        joint = Joint(study.engine, study.point, study.runs, [start.made.terms[i] for i in terms], scatter, chosen)
+        try:
+            return fit(joint, _vector(start.made, terms), _orbits(start.made, terms), steps=10)
+        except (EstimationError, np.linalg.LinAlgError):
+            return None
+
+    kept = list(range(len(laws)))
+    last = laws[-1]
+    whole = fitted(laws, last, kept)
+    if whole is None:
+        return list(laws)
+    last = replace(last, made=whole)
+    missed: dict[int, float] = {}
+    while len(kept) > 1:
+        without: dict[int, Made] = {}
+        for i in kept:
+            made = fitted(laws, last, [j for j in range(len(last.made.terms)) if kept[j] != i])
+            if made is not None:
+                without[i] = made
+        excess = max(1.0, last.made.data_part / last.made.count)
+        missed = {i: (m.objective - last.made.objective) / excess for i, m in without.items()}
+        if not missed:
+            break
+        least = min(missed, key=lambda i: missed[i])
+        if missed[least] > max(alarm, GAIN * max(last.made.objective - last.made.count, 0.0) / excess):
+            break
+        kept.remove(least)
+        last = replace(last, made=without[least])
+    order = sorted(range(len(kept)), key=lambda j: -missed.get(kept[j], 0.0))
+    out = []
+    for n in range(1, len(order)):
+        made = fitted(laws, last, order[:n])
+        if made is None:
+            return list(laws)
+        out.append(Tried(laws[kept[order[n - 1]]].lead, made, cost(made, laws[kept[order[n - 1]]].mechanism)))
+    made = fitted(laws, last, order)
+    if made is None:
+        return list(laws)
+    out.append(Tried(laws[kept[order[-1]]].lead, made, cost(made, laws[kept[order[-1]]].mechanism)))
+    return out
+
+
+def _vector(made: Made, terms: Sequence[int]) -> NDArray[np.float64]:
+    """The fit's vector with the laws `terms` only, in that order."""
+    m = (made.n_base - made.bare) // max(len(made.terms), 1)
+    base = made.x[: made.n_base]
+    motions = base[made.bare :].reshape(-1, m)[list(terms)].reshape(-1)
+    cuts = made.n_base + np.cumsum([0, *(t.n for t in made.terms)])
+    return np.concatenate([base[: made.bare], motions, *(made.x[cuts[i] : cuts[i + 1]] for i in terms)])
+
+
+def _orbits(made: Made, terms: Sequence[int]) -> list[Orbit | None]:
+    """The fit's orbits with the forces `terms` only."""
+    at = list(terms)
+    return [
+        None if o is None else Orbit(o.x, o.f[at], o.memory[at], o.force[at], o.time[:, at], o.motion[:, at], o.closing)
+        for o in made.orbits
+    ]

@@ -70,9 +70,9 @@ def candidates(shape: LawShape, top: float) -> NDArray[np.float64]:
     return np.array(rows)
 
 
-def force_along(shape: LawShape, z: NDArray, v: NDArray, p: NDArray) -> NDArray[np.float64]:
-    """Opposing force along a periodic motion z, v (n,)."""
-    turns = 2 if shape.law in ("stick-slip", "hysteresis") else 1
+def force_along(shape: LawShape, z: NDArray, v: NDArray, p: NDArray, around: bool = True) -> NDArray[np.float64]:
+    """Opposing force along a motion z, v (n,), which comes around again or begins at rest."""
+    turns = 2 if around and shape.law in ("stick-slip", "hysteresis") else 1
     return along(shape.code, np.ascontiguousarray(z), np.ascontiguousarray(v), np.ascontiguousarray(p), turns)
 
 

@@ -47,8 +47,7 @@ def linearised_records(
     found: Study, last: Made, whole: Sequence[Observation], scatter: Scatter
 ) -> list[Observation]:  # fmt: skip
     """The same for hits and random data: the share of the simulated responses in each FRF, estimated alike."""
-    from labnnum.estimators import H1
-    from labnnum.spectra import Welch
+    from labnnum.local import local_frf
 
     out = []
     for o in whole:
@@ -76,9 +75,12 @@ def linearised_records(
             time = np.fft.irfft(shares[0] * (n / 2), n, axis=1)
             data = np.vstack([np.fft.irfft(run.u * (n / 2), n)[None], time])
             channels = (recording.channels[recording.inputs[0]], *run.outputs)
-            simulated = Recording(channels, data, run.rate, label=o.label)
-            frf = H1(Welch(int(o.frf.settings["n_segment"]), window="hann", overlap=0.5))(simulated)
-            at = np.minimum(np.searchsorted(frf.frequency, o.frf.frequency - 1e-9), frf.frequency.size - 1)
-            change = frf.value[:, 0, at]
+            simulated = local_frf(Recording(channels, data, run.rate, label=o.label))
+            same = round(n * recording.rate / run.rate)
+            measured = local_frf(replace(recording, data=recording.data[:, :same], breaks=()))
+            _, here, there = np.intersect1d(
+                np.round(measured.frequency, 6), np.round(simulated.frequency, 6), return_indices=True
+            )
+            o, change = replace(o, frf=measured.at(here)), simulated.value[:, 0, there]
         out.append(_less(o, change))
     return out

@@ -173,43 +173,55 @@ def recover(
     explained = total = 0.0
     for i, run in enumerate(joint.runs):
         r = made[run.key]
-        drive = r.gain * run.u
-        known, moved = r.plain * drive, r.z[0] * drive
         orbit = orbits[i] if orbits is not None else None
-        if orbit is not None:
-            known = known + (r.h[:, 1:] * orbit.force).sum(axis=1)
-            moved = moved + (r.g[0, 1:] * orbit.force).sum(axis=0)
-        force, share = _one(run, r, run.seen(run.y - r.lift * known))
-        explained += share[0]
-        total += share[1]
-        z = np.where(run.inside, run.seen(moved) + r.g[0, 0] * force, 0.0)
-        n = run.period * FINE
-        full = np.zeros((3, n // 2 + 1), complex)
-        full[:, : z.size] = z, r.s * z, force
-        time = np.fft.irfft(full * (n / 2), axis=1) * _unseen(run, n)
+        z, v, f, (force, kept, all_) = motion_of(run, r, orbit)
+        explained += kept
+        total += all_
         forces.append(force)
-        zs.append(time[0])
-        vs.append(time[1])
-        fs.append(time[2])
+        zs.append(z)
+        vs.append(v)
+        fs.append(f)
     return Recovered(
         spot, explained / total if total > 0 else 0.0, tuple(forces), tuple(zs), tuple(vs), tuple(fs), made
     )
+
+
+def motion_of(
+    run: Run, r: Receptance, orbit: Orbit | None = None
+) -> tuple[NDArray, NDArray, NDArray, tuple[NDArray, float, float]]:
+    """Motion, speed and force (n,) at the first place of a receptance as the run shows them, `FINE` times its samples.
+
+    Forces at its other places are known from `orbit`. Last the force's spectrum, and the power on detection lines that
+    it explains and that there is, over noise.
+    """
+    drive = r.gain * run.u
+    known, moved = r.plain * drive, r.z[0] * drive
+    if orbit is not None:
+        known = known + (r.h[:, 1:] * orbit.force).sum(axis=1)
+        moved = moved + (r.g[0, 1:] * orbit.force).sum(axis=0)
+    force, (kept, all_) = _one(run, r, run.seen(run.y - r.lift * known))
+    z = np.where(run.inside, run.seen(moved) + r.g[0, 0] * force, 0.0)
+    n = run.period * FINE
+    full = np.zeros((3, n // 2 + 1), complex)
+    full[:, : z.size] = z, r.s * z, force
+    time = np.fft.irfft(full * (n / 2), axis=1) * _unseen(run, n)
+    return time[0], time[1], time[2], (force, kept, all_)
 
 
 ENDS = 0.1
 """Height of a window below which what it hides is not brought back."""
 
 
-def _window(run: Run, n: int) -> NDArray[np.float64]:
-    """What the run's spectra are seen through, at n samples over its period."""
+def window_of(run: Run, n: int, ends: bool = True) -> NDArray[np.float64]:
+    """What the run's spectra are seen through, at n samples over its period; not `ends`: what they are taken with."""
     if run.decay:
         return np.exp(-run.decay * np.arange(n) * run.period / (n * run.rate))
-    return np.sin(np.pi * np.arange(n) / n) ** 2 if run.open else np.ones(n)
+    return np.sin(np.pi * np.arange(n) / n) ** 2 if run.open and ends else np.ones(n)
 
 
 def _unseen(run: Run, n: int) -> NDArray[np.float64]:
     """What takes the window off again, zero where there is too little of it."""
-    window = _window(run, n)
+    window = window_of(run, n)
     return 1.0 / window if run.decay else np.where(window < ENDS, 0.0, 1.0 / np.maximum(window, ENDS))
 
 
@@ -247,7 +259,10 @@ def _one(run: Run, r: Receptance, left: NDArray) -> tuple[NDArray[np.complex128]
 def law_column(joint: Joint, found: Recovered, mechanism: str, p: NDArray, sign: float) -> NDArray[np.float64]:
     """Whitened response (n_out, N) to a law of parameters `p` along the recovered motion."""
     shape = SHAPES[mechanism]
-    forces = [force_along(shape, sign * z, sign * v, p) * sign for z, v in zip(found.z, found.v, strict=True)]
+    forces = [
+        force_along(shape, sign * z, sign * v, p, around=run.lasting) * sign
+        for run, z, v in zip(joint.runs, found.z, found.v, strict=True)
+    ]
     return _through(joint, found, spectra_of(joint, forces))
 
 
@@ -255,7 +270,7 @@ def spectra_of(joint: Joint, series: Sequence[NDArray]) -> list[NDArray]:
     """Spectra, complex64, of a series in time for each run, (n,) on as many samples as the recovered motion has."""
     pairs = zip(joint.runs, series, strict=True)
     return [
-        np.asarray(rfft((x * _window(run, x.size)).astype(np.float32))) * np.float32(2 / x.size) for run, x in pairs
+        np.asarray(rfft((x * window_of(run, x.size)).astype(np.float32))) * np.float32(2 / x.size) for run, x in pairs
     ]
 
 

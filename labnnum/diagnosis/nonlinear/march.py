@@ -366,8 +366,34 @@ def march(
 
 
 @njit(cache=True)
+def _loop(z, p, turns):  # pragma: no cover - compiled
+    """Opposing force of hysteresis along a prescribed motion (n,), by the explicit midpoint rule."""
+    n = z.size
+    out = np.empty(n)
+    limit, power, share = p[1], p[2], p[3]
+    h, last = 0.0, z[0]
+    if limit <= 0.0:
+        out[:] = 0.0
+        return out
+    for _ in range(turns):
+        for i in range(n):
+            step = z[i] - last
+            half = h
+            for _ in range(2):
+                a = share * (1.0 if step * half > 0 else -1.0) + 1.0 - share
+                half = h + 0.5 * step * (1.0 - a * (abs(half) / limit) ** power)
+            a = share * (1.0 if step * half > 0 else -1.0) + 1.0 - share
+            h += step * (1.0 - a * (abs(half) / limit) ** power)
+            last = z[i]
+            out[i] = p[0] * h
+    return out
+
+
+@njit(cache=True)
 def along(code, z, v, p, turns):  # pragma: no cover - compiled
     """Opposing force of a law along a prescribed motion (n,), passed through `turns` times; that of the last pass."""
+    if code == 7:
+        return _loop(z, p, turns)
     n = z.size
     out = np.empty(n)
     memory = np.zeros(2)
@@ -381,10 +407,6 @@ def along(code, z, v, p, turns):  # pragma: no cover - compiled
                 continue
             value, _, _ = law(code, z[i], v[i], p, memory, lp, d)
             out[i] = value
-            if code == 6:
-                if p[0] > 0.0 and abs(p[0] * (z[i] - memory[0])) > p[1]:
-                    memory[0] = z[i] - np.sign(z[i] - memory[0]) * p[1] / p[0]
-            elif code == 7:
-                memory[1] = _hysteretic(z[i], p, memory, d)
-                memory[0] = z[i]
+            if code == 6 and p[0] > 0.0 and abs(p[0] * (z[i] - memory[0])) > p[1]:
+                memory[0] = z[i] - np.sign(z[i] - memory[0]) * p[1] / p[0]
     return out

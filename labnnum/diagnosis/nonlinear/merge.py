@@ -76,20 +76,22 @@ def nonlinear_first(
         return None
     if not found.named and found.reason != KNOWN:
         plain = again(observations, held_out)  # what one linear mechanism explains needs no law that has no name
-        sound = plain.verdict in ("consistent", "parameters") and found.reason == USELESS
-        if plain.named or sound or any(o.run is None for o in train):
+        periodic = all(o.run is not None for o in train)
+        sound = plain.verdict in ("consistent", "parameters") and (found.reason == USELESS or not periodic)
+        if plain.named or sound:
             return plain
     progress("searching for linear physics beside it")
-    explained = (bool(found.named) or found.reason == KNOWN) and found.misfit < EXPLAINED
+    explained = (bool(found.named) or found.reason == KNOWN) and found.misfit < EXPLAINED and found.lying is None
     rest = again(found.linearised, found.linearised_held_out, **({"catalogue": ()} if explained else {}))
     periodic = all(o.run is not None for o in train)
-    if periodic and found.misfit > 1.5 and any(n.place.kind == "channel" for n in rest.named):
+    mend = found.misfit > 1.5 or found.lying is not None
+    if periodic and mend and any(n.place.kind == "channel" for n in rest.named):
         train = [_mended(o, rest.named) for o in train]
         test = [_mended(o, rest.named) for o in test]
         second = answer(engine, train, test, places, scatter, limits, band, progress, (), (), nearly)
         if second is not None and second.reason == UNCONFIRMED:
             return None  # the channel made the signs; what is left of them no law explains
-        if second is not None and second.misfit < found.misfit:
+        if second is not None and (second.misfit < found.misfit or (found.lying is not None and second.named)):
             found = second
     signs = nonlinear_signs(observations)
     return merged(found, rest, gate.named, signs, observations)

@@ -21,6 +21,8 @@ from labnnum.errors import EstimationError
 
 FINE_STEPS = 3.3
 """Steps of the march to a period of the highest excited line, at least: harmonics up to the fifth do not fold back."""
+JUMPING = 8.0
+"""The same where a force jumps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,7 @@ EXACT = 30
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """Where a fit ended."""
+    """Where a fit ended; `n_base` entries of `x` are the base's, `bare` of them not of the laws' places."""
 
     x: NDArray[np.float64]
     objective: float
@@ -61,6 +63,7 @@ class Made:
     orbits: tuple[Orbit | None, ...]
     terms: tuple[Acting, ...]
     n_base: int
+    bare: int
     count: int
     converged: bool
 
@@ -78,6 +81,7 @@ class Joint:
         self, engine: Engine, point: Point, runs: Sequence[Run], terms: Sequence[Acting], scatter: Scatter,
         lines: Sequence[Lines], whole: bool = False,
     ) -> None:  # fmt: skip
+        self.point = point
         self.engine, self.runs, self.terms, self.scatter, self.lines = engine, tuple(runs), tuple(terms), scatter, lines
         n = engine.basis.shape[0]
         columns = np.array([t.column for t in terms]).T.reshape(n, len(terms))
@@ -94,7 +98,7 @@ class Joint:
         self.exact = True
         self._last: tuple[bytes, dict[Any, Receptance]] | None = None
         self.codes = np.array([t.shape.code for t in terms], np.int64)
-        self.steady = [Steady(r, self.codes, _fine(r)) for r in runs]
+        self.steady = [Steady(r, self.codes, _fine(r, terms)) for r in runs]
         self._priors(point)
         self._bounds()
 
@@ -278,10 +282,11 @@ class Joint:
         return np.concatenate(out, axis=-1), new
 
 
-def _fine(run: Run) -> int:
+def _fine(run: Run, terms: Sequence[Acting]) -> int:
     top = np.flatnonzero(run.excited)[-1]
+    steps = JUMPING if any(t.shape.law == "coulomb" for t in terms) else FINE_STEPS
     fine = 1
-    while run.period * fine < FINE_STEPS * top and fine < 16:
+    while run.period * fine < steps * top and fine < 16:
         fine *= 2
     return fine
 
@@ -305,7 +310,7 @@ def fit(
     joint.exact = always or (exact and joint.n_base <= EXACT)
     scale, low, high = joint.scale, joint.low, joint.high
     x = np.clip(x, low, high)
-    orbits = joint.settle(x, orbits, 6)
+    orbits = joint.settle(x, orbits, 14)
     damping, converged = 1e-3, False
     prior = (scale / joint.std) ** 2
     best: tuple[float, NDArray, Any, NDArray] | None = None
@@ -331,7 +336,7 @@ def fit(
         moved = False
         for _ in range(5):
             trial = _step(joint, x, gradient, hessian, damping, reach)
-            found = joint.settle(trial, orbits, 3)
+            found = joint.settle(trial, orbits, 8)
             settled = all(o is None or np.isfinite(o.closing) for o in found)
             after = joint.value(trial, found, b) if settled else np.inf
             if np.isfinite(after) and after < value:
@@ -359,7 +364,17 @@ def fit(
     covariance = inverse * np.outer(scale, scale)
     price = joint.price(x)
     return Made(
-        x, value, value - price, price, covariance, tuple(orbits), joint.terms, joint.n_base, int(r.size), converged
+        x,
+        value,
+        value - price,
+        price,
+        covariance,
+        tuple(orbits),
+        joint.terms,
+        joint.n_base,
+        joint.n_base - joint.k * joint.engine.band_modes.size,
+        int(r.size),
+        converged,
     )
 
 

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.frf import MOTION_ORDER
 
+RIGID = 0.05
+"""Frequency, in units of the lowest line's, below which a mode is that of a rigid body."""
+
 
 @dataclass(frozen=True, eq=False)
 class Receptance:
@@ -124,7 +127,9 @@ class Base:
         share = float(self.point.law[0])
         rate = (1 - share) * self.s + 1j * share * omega[:, None]
         square = omega[:, None] ** 2 + 2 * (zeta * omega)[:, None] * rate + self.s**2
-        d = np.where(square != 0, 1.0 / np.where(square != 0, square, 1.0), 0.0)
+        # a lasting force on a rigid body has no response that lasts: of the mean it is left out
+        some = (square != 0) & (self.some | (omega >= RIGID * np.abs(self.s[1].imag))[:, None])
+        d = np.where(some, 1.0 / np.where(some, square, 1.0), 0.0)
         load = st.load[:, 0].copy()
         load[b] += size * e.load_typical
         w = self.columns.T @ st.shape
@@ -158,9 +163,14 @@ class Base:
         """
         if not whole:
             return self._derivatives(x, r, r.d[:, self.lines], self.s[self.lines], (True, True))
-        dp, dh, _, _ = self._derivatives(x, r, r.d[:, self.lines], self.s[self.lines], (True, False))
+        dp, dh = self.at_sensors(x, r)
         _, _, dz, dg = self._derivatives(x, r, r.d, self.s, (False, True))
         return dp, dh, dz, dg
+
+    def at_sensors(self, x: NDArray, r: Receptance) -> tuple[NDArray, NDArray]:
+        """Derivatives of plain (n, o, f) and h (n, o, k, f) alone."""
+        dp, dh, _, _ = self._derivatives(x, r, r.d[:, self.lines], self.s[self.lines], (True, False))
+        return dp, dh
 
     def _derivatives(
         self, x: NDArray, r: Receptance, d: NDArray, s: NDArray, wanted: tuple[bool, bool]

@@ -17,7 +17,7 @@ from labnnum.recording import Recording
 if TYPE_CHECKING:
     from labnnum.diagnosis.observe import Observation
 
-STRETCH = 16384
+STRETCH = 32768
 """Samples of noise that are compared at most; as many others are held out."""
 FORGOTTEN = 40.0
 """Decay times of the slowest mode, by the nominal damping, that a stretch of noise should last."""
@@ -170,7 +170,7 @@ def _floor(spectra: NDArray) -> NDArray[np.float64]:
 
 # -------------------------------------------------------------------- signs
 
-SURE = 1.4
+SURE = 1.8
 """Mean power of an FRF's change from level to level, of what noise and leakage leave; sound structures show about 1."""
 
 
@@ -187,44 +187,11 @@ def changed(observations: Sequence[Observation]) -> bool:
 def _differ(low: Observation, high: Observation) -> bool:
     if [(c.name, c.dof) for c in low.frf.inputs] != [(c.name, c.dof) for c in high.frf.inputs]:
         return False  # a hammer that roves
-    one, other = (_frf(o) for o in (low, high))
-    _, i, j = np.intersect1d(np.round(one[0], 6), np.round(other[0], 6), return_indices=True)
-    if i.size < 8 or one[1].shape[0] != other[1].shape[0]:
+    one, other = low.frf, high.frf
+    _, i, j = np.intersect1d(np.round(one.frequency, 6), np.round(other.frequency, 6), return_indices=True)
+    if i.size < 8 or one.value.shape[0] != other.value.shape[0] or one.variance is None or other.variance is None:
         return False
-    a, b = one[1][:, i], other[1][:, j]
-    ratio = np.abs(a - b) ** 2 / np.maximum(one[2][:, i] + other[2][:, j], 1e-300)
+    a, b = one.value[:, 0, i], other.value[:, 0, j]
+    ratio = np.abs(a - b) ** 2 / np.maximum(one.variance[:, 0, i] + other.variance[:, 0, j], 1e-300)
     sure = np.mean(ratio, axis=1) > SURE
     return bool(sure.sum() >= min(2, sure.size))
-
-
-BIN = 16
-"""Lines over which an FRF is taken as a parabola."""
-
-
-def _frf(o: Observation) -> tuple[NDArray, NDArray, NDArray]:
-    """Frequencies, FRFs (n_out, n) and their variance: of hits as observed, of a record by local parabolas.
-
-    A parabola over `BIN` lines of the whole record needs no averages, which a sweep does not have: each of its
-    stretches holds a part of the band.
-    """
-    if o.kind == "hammer":
-        assert o.frf.variance is not None
-        return o.frf.frequency, o.frf.value[:, 0], o.frf.variance[:, 0]
-    run = stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)
-    first, last = np.flatnonzero(run.excited)[[0, -1]]
-    first += -first % BIN
-    n = (last - first + 1) // BIN
-    at = slice(first, first + n * BIN)
-    u, y = run.seen(run.u)[at].reshape(n, BIN), run.seen(run.y)[:, at].reshape(-1, n, BIN)
-    grid = np.linspace(-1.0, 1.0, BIN)
-    columns = u[:, :, None] * np.stack([np.ones(BIN), grid, grid**2], axis=1)
-    inverse = np.linalg.pinv(columns)
-    size = inverse @ np.moveaxis(y, 0, 2)
-    left = np.moveaxis(y, 0, 2) - columns @ size
-    spread = WINDOWED * np.sum(np.abs(left) ** 2, axis=1) / (BIN - 3)
-    variance = spread * np.sum(np.abs(inverse[:, 0]) ** 2, axis=1)[:, None]
-    return run.frequency[at].reshape(n, BIN).mean(axis=1), size[:, 0].T, variance.T
-
-
-WINDOWED = 2.0
-"""How much more neighbours under a Hann window scatter together than apart."""

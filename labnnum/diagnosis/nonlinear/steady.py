@@ -16,14 +16,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import matrix_balance
 
 from labnnum.diagnosis.nonlinear.march import N_P, march
-from labnnum.diagnosis.nonlinear.receptance import Receptance
+from labnnum.diagnosis.nonlinear.receptance import RIGID, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.errors import EstimationError
 
 PASSES = (4, 2)
 """Marches over a run that does not close, at most, from nothing and from a neighbour: each corrects the one before."""
+
+
+SINGULAR = 1e-9
+"""Singular value of the closing gap, of the largest, below which a motion is one that no force brings back."""
+
+
+STALLED, ON = 0.6, 2
+"""Part of the gap that a step of Newton's method must not leave open, or so many periods are marched after it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,19 +99,20 @@ class Steady:
         omega, zeta, w = r.omega[slow], r.zeta[slow], np.ascontiguousarray(r.w[:, slow])
         rest = r.rest + (r.w[:, fast] / r.omega[fast] ** 2) @ r.w[:, fast].T
         low = np.abs(r.s[1].imag)
-        free = omega < 0.05 * low
-        omega[free], zeta[free] = 0.3 * low, 0.3  # a rigid body is tied loosely; the source takes it back
-        m = omega.size
+        omega[omega < RIGID * low] = 0.0  # rigid bodies, held by the forces alone
         T, W0, W1 = _held(omega, zeta, self.step)
         turn = np.exp(r.s * self.step)
         a, b, c, d = T[:, :, None]
         det = (turn - a) * (turn - d) - b * c
+        nowhere = det == 0.0  # the mean of a force on a rigid body, which a period that closes has not
+        det[nowhere] = 1.0
         drive0 = W0[0][:, None] + turn * W1[0][:, None]
         drive1 = W0[1][:, None] + turn * W1[1][:, None]
         xq = ((turn - d) * drive0 + b * drive1) / det
         xv = (c * drive0 + (turn - a) * drive1) / det
+        xq[nowhere] = xv[nowhere] = 0.0
         k = w.shape[0]
-        pairs = (w[:, None] * w[None]).reshape(k * k, m)
+        pairs = (w[:, None] * w[None]).reshape(k * k, omega.size)
         gz = (pairs @ xq).reshape(k, k, r.s.size) + rest[:, :, None]
         gv = (pairs @ xv).reshape(k, k, r.s.size)
         inner = (w * W1[0]) @ w.T + rest
@@ -157,8 +167,10 @@ class Steady:
             return self._passes(r, p, orbit, tolerance)
         made = self.prepare(r)
         m = made.w.shape[1]
-        for turn in range(steps):
-            if turn < warm:
+        last = np.inf
+        for _ in range(steps):
+            if warm > 0:
+                warm -= 1
                 one = self._march(made, self.source(r, made, orbit.force), p, orbit)
                 if not np.isfinite(one.state).all():
                     return replace(orbit, closing=np.inf)
@@ -193,6 +205,9 @@ class Steady:
             )  # fmt: skip
             if closing < tolerance:
                 break
+            if not chord and closing > STALLED * last:
+                warm, closing = ON, np.inf  # jumps of the force lead Newton's method in circles
+            last = closing
         return orbit
 
     def _passes(self, r: Receptance, p: NDArray, orbit: Orbit, tolerance: float) -> Orbit:
@@ -345,7 +360,12 @@ class Steady:
 
 
 def _held(omega: NDArray, zeta: NDArray, step: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Transition (4, m) of each mode over a step, and weights (2, m) of a force straight between its ends."""
+    """Transition (4, m) of each mode over a step, and weights (2, m) of a force straight between its ends.
+
+    A mode of frequency zero is a rigid body.
+    """
+    free = omega == 0.0
+    omega = np.where(free, 1.0, omega)
     rate = zeta * omega
     turn = omega * np.sqrt((1 - zeta**2).astype(complex))
     decay = np.exp(-rate * step)
@@ -356,15 +376,19 @@ def _held(omega: NDArray, zeta: NDArray, step: float) -> tuple[NDArray, NDArray,
     whole = np.array([(1 - T[0]) / square, T[1]])  # A^-1 (T - I) B, with A^-1 = [[-2 rate, -1], [w^2, 0]] / w^2
     slope0, slope1 = whole[0] / step, whole[1] / step - 1.0
     W1 = np.array([(-2 * rate * slope0 - slope1) / square, slope0])
+    T[:, free] = np.array([1.0, step, 0.0, 1.0])[:, None]
+    whole[:, free] = np.array([step**2 / 2, step])[:, None]
+    W1[:, free] = np.array([step**2 / 6, step / 2])[:, None]
     return T, whole - W1, W1
 
 
 def _closing(phi: NDArray) -> NDArray[np.float64]:
-    """(I - phi)^-1: from the gap at the end of the period to the change of its start."""
-    try:
-        return np.asarray(np.linalg.inv(np.eye(phi.shape[0]) - phi), float)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(np.eye(phi.shape[0]) - phi), float)
+    """(I - phi)^-1: from the gap at the end of the period to the change of its start; what nothing holds stays."""
+    gap = np.eye(phi.shape[0]) - phi
+    if not np.isfinite(gap).all():
+        return np.full(gap.shape, np.nan)
+    even, (scale, _) = matrix_balance(gap, permute=False, separate=True)  # metres beside newtons
+    return scale[:, None] * np.linalg.pinv(even, rcond=SINGULAR) / scale
 
 
 def _state(orbit: Orbit) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Which nonlinear law acts, and where: leads from recovered forces, joint fits of the best, general law beside them."""
+"""Which nonlinear law acts, and where: leads from recovered forces, followed along the motion, the best simulated."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
 from labnnum.diagnosis.nonlinear.laws import SHAPES
-from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import (
     Background,
     Lead,
@@ -36,11 +37,15 @@ LAWS = (
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """A law at a spot, fitted; `cost` its objective plus the price of its parameters."""
+    """A law at a spot, fitted; `cost` its objective plus the price of its parameters.
+
+    `simulated`: whether the fit was by simulation, and not along the recovered motion only.
+    """
 
     lead: Lead
     made: Made
     cost: float
+    simulated: bool = True
 
     @property
     def spot(self) -> Spot:
@@ -76,19 +81,66 @@ class Study:
         return self.tried[0]
 
 
-ROUGH = 4
-"""Steps of the first fits, on two runs, from two starts."""
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What every fit of one search shares: base model, runs, the scatter of a sound model, the lines compared."""
+
+    engine: Engine
+    point: Point
+    runs: tuple[Run, ...]
+    scatter: Scatter
+    lines: tuple[Lines, ...]
+
+    def on(self, most: int) -> Bench:
+        """The same with `most` lines a run."""
+        return replace(self, lines=tuple(choose_lines(r, most, self.scatter.floor) for r in self.runs))
+
+    def joint(self, leads: Sequence[Lead]) -> Joint:
+        """The objective of laws that are simulated."""
+        return Joint(self.engine, self.point, self.runs, [lead.acting() for lead in leads], self.scatter, self.lines)
+
+    def follow(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
+        """A law fitted along the recovered motion, from the base vector `x`."""
+        joint = Followed(self.engine, self.point, self.runs, lead.acting(), self.scatter, self.lines)
+        return _tried(joint, joint.start(x), [None] * len(self.runs), lead, steps, simulated=False)
+
+    def follow_on(self, one: Tried, steps: int) -> Tried:
+        """The same carried on."""
+        return self.follow(one.made.x[: one.made.n_base], _of_fit(one), steps) or one
+
+    def simulate(self, one: Tried, steps: int) -> Tried | None:
+        """A law that was followed, fitted by simulation."""
+        joint = self.joint([_of_fit(one)])
+        return _tried(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
+
+    def carry_on(self, one: Tried, steps: int, *, always: bool = False) -> Tried:
+        """A simulated fit carried on, on other lines perhaps."""
+        joint = Joint(self.engine, self.point, self.runs, one.made.terms, self.scatter, self.lines)
+        return _tried(joint, one.made.x, one.made.orbits, one.lead, steps, always=always) or one
+
+
+def _tried(
+    joint: Joint, x: NDArray, orbits: Sequence, lead: Lead, steps: int, *, simulated: bool = True, always: bool = False
+) -> Tried | None:  # fmt: skip
+    try:
+        made = fit(joint, x, orbits, steps=steps, always=always)
+    except (EstimationError, np.linalg.LinAlgError):
+        return None
+    return Tried(lead, made, cost(made, lead.mechanism), simulated)
+
+
+def _of_fit(one: Tried) -> Lead:
+    """The lead with the parameters where its fit ended."""
+    p, _ = one.made.law(0)
+    full = np.zeros(N_P)
+    full[: p.size] = p
+    return replace(one.lead, p=full)
+
+
 ENOUGH = 1.15
 """Chi-square per value at which a law leaves nothing for a general one to explain."""
-
-POOR = 1.3
-"""Chi-square per value above which other laws and places are tried."""
 NEAREST = 5
-"""Spots whose recovered motion is asked for every law."""
-
-SPRINGY = ("stick-slip", "coulomb-friction")
-"""Laws that are a spring, or a lock, where the motion is small."""
-
+"""Spots, of either order, whose recovered motion is asked for every law."""
 PRICE = 4.0
 """Price of one parameter of a law, in chi-square."""
 
@@ -101,11 +153,27 @@ def cost(made: Made, mechanism: str) -> float:
     return made.objective + PRICE * (n + (1 if mechanism == "hysteresis" else 0))
 
 
-def search(
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """What the recovered motion promises: the laws that were followed, best first, and the base they began from."""
+
+    bench: Bench
+    calm: Made
+    base: Made
+    recovered: tuple[Recovered, ...]
+    near: tuple[Tried, ...]
+
+    @property
+    def level(self) -> float:
+        """Chi-square per value that the best law leaves."""
+        return self.near[0].made.data_part / self.near[0].made.count
+
+
+def explore(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
     *, lines: int = 160, progress: Callable[[str], None] = lambda text: None,
-) -> Study | None:  # fmt: skip
-    """Fit the base, locate, regress, and fit the best laws by simulation.
+) -> Prospect | None:  # fmt: skip
+    """Fit the base, locate, regress, and follow the leads along the recovered motion.
 
     Parameters
     ----------
@@ -115,31 +183,42 @@ def search(
         Number of the one that distorts least.
     spots : sequence of Spot
     """
+    bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
     alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
     calm = fit(alone, alone.start(), [None], steps=15)
-    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
-    plain = Joint(engine, point, runs, (), scatter, chosen)
+    plain = bench.joint([])
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
-    background = Background(plain, calm.x[: plain.n_base])
     progress("locating")
-    found = ranked(background, [recover(plain, calm.x, point, s) for s in spots])
-    leads: list[Lead] = []
-    for q in found[:NEAREST]:
-        leads += law_leads(background, q, LAWS)
-    leads.sort(key=lambda lead: -lead.gain)
-    if not leads:
-        return None
+    nominal = engine_start(plain)
+    found, leads = looked(plain, calm.x, spots)
+    near: list[Tried] = []
+    if leads:
+        progress("following nonlinear laws along the motion")
+        near = followed(bench, (calm.x, nominal), leads)
+    if calm.data_part > MISLED * calm.count and not (near and near[0].made.data_part < MISLED * near[0].made.count):
+        other, leads = looked(plain, nominal, spots)
+        again = followed(bench, (nominal,), leads) if leads else []
+        if again and (not near or again[0].cost < near[0].cost):
+            near, found = sorted([*again, *near], key=lambda t: t.cost), other
+    return Prospect(bench, calm, base, tuple(found), tuple(near)) if near else None
+
+
+def search(seen: Prospect, progress: Callable[[str], None] = lambda text: None) -> Study | None:
+    """The laws that came nearest along the recovered motion, fitted by simulation; a general law beside them."""
     progress("fitting nonlinear laws")
-    tried = _fits(engine, point, runs, scatter, chosen, calm, leads)
+    bench = seen.bench
+    tried = simulated(bench, seen.near)
     if not tried:
         return None
     best = tried[0].made
-    plain_enough = best.data_part < ENOUGH * best.count
     law = None
-    if not plain_enough:
-        general = sorted((general_lead(background, q) for q in found[:NEAREST]), key=lambda lead: -lead.gain)
-        law = _general(engine, point, runs, scatter, chosen, tried[0].made, general, tried)
-    return Study(engine, point, tuple(runs), base, calm, tuple(tried), law, tuple(found))
+    if best.data_part > ENOUGH * best.count:
+        background = Background(bench.joint([]), seen.near[0].made.x[: seen.calm.n_base])
+        general = [general_lead(background, q) for q in nearest(seen.recovered)]
+        law = _general(bench, tried[0], general)
+    return Study(
+        bench.engine, bench.point, bench.runs, seen.base, seen.calm, tuple(tried), law, seen.recovered
+    )  # fmt: skip
 
 
 def of_known(
@@ -147,201 +226,131 @@ def of_known(
     lines: int = 250,
 ) -> Study | None:  # fmt: skip
     """The laws that a model holds already, fitted with the base; None where they do not settle."""
-    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
-    plain = Joint(engine, point, runs, (), scatter, chosen)
+    bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
+    plain = bench.joint([])
     base = fit(plain, plain.start(), [None] * len(runs), steps=12)
-    joint = Joint(engine, point, runs, [lead.acting() for lead in known], scatter, chosen)
-    try:
-        made = fit(joint, joint.start(), [None] * len(runs), steps=8, exact=False)
-    except (EstimationError, np.linalg.LinAlgError):
-        return None
-    tried = Tried(known[0], made, cost(made, known[0].mechanism))
-    return Study(engine, point, tuple(runs), base, base, (tried,), None, ())
+    joint = bench.joint(known)
+    tried = _tried(joint, joint.start(), [None] * len(runs), known[0], 8)
+    return None if tried is None else Study(engine, point, tuple(runs), base, base, (tried,), None, ())
 
 
-def _fit_one(
-    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, x: NDArray, lead: Lead, steps: int
-) -> Tried | None:
-    joint = Joint(engine, point, runs, [lead.acting()], scatter, chosen)
-    best: Made | None = None
-    starts = [x]
-    if lead.mechanism in SPRINGY:  # what the base took for its own may be the law's
-        fresh = x.copy()
-        n, m = engine.theta0.size, engine.band_modes.size
-        fresh[:n], fresh[n : n + m] = engine.theta0, 0.0
-        fresh[n + 2 * m : n + 3 * m] = 0.0
-        starts.append(fresh)
-    if lead.mechanism == "stick-slip" and joint.n_base == x.size + engine.band_modes.size:
-        starts.append(softened(joint, x, lead))
-    for start in starts:
-        try:
-            made = fit(joint, joint.start(start), [None] * len(runs), steps=steps, exact=False)
-        except (EstimationError, np.linalg.LinAlgError):
-            continue
-        if best is None or made.objective < best.objective:
-            best = made
-    return None if best is None else Tried(lead, best, cost(best, lead.mechanism))
+MISLED = 5.0
+"""Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
 
 
-def softened(joint: Joint, x: NDArray, lead: Lead) -> NDArray[np.float64]:
-    """The base without the spring of a slider that sticks at low levels, to first order: that spring it holds twice."""
-    n, b = joint.engine.theta0.size, joint.engine.band_modes
-    r = next(iter(joint.receptances(joint.start(x)[: joint.start(x).size]).values()))
-    out = x.copy()
-    less = 0.5 * lead.p[0] * r.w[0, b] ** 2 / r.omega[b] ** 2
-    out[n : n + b.size] -= np.minimum(less, SOFTER)
-    return out
+def looked(plain: Joint, x: NDArray, spots: Sequence[Spot]) -> tuple[list[Recovered], list[Lead]]:
+    """Spots ranked by the forces recovered with the base at `x`, and what every law promises at the nearest."""
+    background = Background(plain, x[: plain.n_base])
+    found = ranked(background, [recover(plain, x, plain.point, s) for s in spots])
+    return found, [lead for q in nearest(found) for lead in law_leads(background, q, LAWS)]
 
 
-SOFTER = 0.05
-"""Fall of a frequency at most when a base is set free of what sticks."""
+def nearest(found: Sequence[Recovered]) -> list[Recovered]:
+    """Spots that stand out: by what a general law removes there, and by the share of the distortion of a force there.
+
+    A base that a strong law has misled spoils the first more than the second, which any force has where there are no
+    more sensors than places.
+    """
+    by_share = sorted(found, key=lambda q: -q.share)
+    return [q for q in found if q in found[:NEAREST] or q in by_share[:NEAREST]]
 
 
-def _carry_on(
-    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, tried: Tried, steps: int, *,
-    always: bool = False,
-) -> Tried:  # fmt: skip
-    joint = Joint(engine, point, runs, tried.made.terms, scatter, chosen)
-    orbits = tried.made.orbits if len(tried.made.orbits) == len(runs) else [None] * len(runs)
-    try:
-        made = fit(joint, tried.made.x, orbits, steps=steps, exact=False, always=always)
-    except (EstimationError, np.linalg.LinAlgError):
-        return tried
-    return Tried(tried.lead, made, cost(made, tried.mechanism))
+def engine_start(plain: Joint) -> NDArray[np.float64]:
+    """The nominal model's vector."""
+    n, m = plain.engine.theta0.size, plain.engine.band_modes.size
+    x = plain.start()
+    x[:n], x[n : n + m], x[n + 2 * m : n + 3 * m] = plain.engine.theta0, 0.0, 0.0
+    x[n + m : n + 2 * m] = np.log(plain.engine.zeta0[plain.engine.band_modes])
+    return x
 
 
-def _onto(t: Tried, engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen) -> Tried | None:
-    """A fit to some runs taken to all."""
-    p, _ = t.made.law(0)
-    full = np.zeros(N_P)
-    full[: p.size] = p
-    lead = replace(t.lead, p=full)
-    return _fit_one(engine, point, runs, scatter, chosen, t.made.x[: t.made.n_base], lead, 1)
+# -------------------------------------------------------------------- along the motion
+
+FAINT = 0.05
+"""Part of the best lead's gain below which a lead is not followed."""
+QUICK, LONG = 3, 10
+"""Steps of a follow, and of those that came near."""
+NEAR = 3.0
+"""Cost, of the least, below which a follow is carried on; and simulated."""
 
 
-def _shortlist(leads: Sequence[Lead], part: float, most: int) -> list[Lead]:
-    """Leads with at least `part` of the best one's gain: each law at its best spot, each spot with its best law."""
-    out: list[Lead] = []
-    laws: set[str] = set()
-    places: set[tuple] = set()
-    for lead in leads:
-        if lead.mechanism == "hysteresis" or lead.gain < part * leads[0].gain or len(out) == most:
-            continue
-        here = (lead.spot.place, lead.spot.axis.lstrip("-"))
-        if lead.mechanism in laws and here in places:
-            continue
-        laws.add(lead.mechanism)
-        places.add(here)
-        out.append(lead)
-    return out
+def followed(bench: Bench, starts: Sequence[NDArray], leads: Sequence[Lead]) -> list[Tried]:
+    """Leads fitted along the recovered motion, best first; hysteresis wherever a slider comes near.
 
-
-CLOSE = 0.85
-"""Part of the best lead's gain above which another may turn out better when it is fitted,"""
-FAR = 0.3
-"""and where the best leaves much unexplained."""
-
-
-def _fits(
-    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, calm: Made, leads: Sequence[Lead]
-) -> list[Tried]:
-    """Leads fitted, best first: roughly to the lowest and the highest run, then the best to all."""
-    ends = sorted({0, len(runs) - 1})
-    two, thin = [runs[i] for i in ends], [chosen[i] for i in ends]
-
-    def rough(some: Sequence[Lead]) -> list[Tried]:
-        made = [_fit_one(engine, point, two, scatter, thin, calm.x, lead, ROUGH) for lead in some]
-        return sorted((t for t in made if t is not None), key=lambda t: t.cost)
-
-    first = _shortlist(leads, CLOSE, 4)
-    tried = rough(first)
-    if not tried or tried[0].made.data_part > POOR * tried[0].made.count:
-        more = [lead for lead in _shortlist(leads, FAR, 8) if not any(lead is known for known in first)]
-        tried = sorted([*tried, *rough(more)], key=lambda t: t.cost)
-    if not tried:
+    `starts` are base vectors: a strong law may have misled the base that was fitted without it.
+    """
+    top = max(lead.gain for lead in leads)
+    some = [lead for lead in leads if lead.gain > FAINT * top and lead.mechanism != "hysteresis"]
+    first: list[Tried] = []
+    for lead in some:
+        made = [bench.follow(x, lead, QUICK) for x in starts]
+        first += sorted((t for t in made if t is not None), key=lambda t: t.cost)[:1]
+    first.sort(key=lambda t: t.cost)
+    if not first:
         return []
-    best = _best_on_all(engine, point, runs, scatter, chosen, tried)
-    if best is None:
-        return []
-    done = [best, *_at_its_place(engine, point, runs, scatter, chosen, best, leads)]
-    ratio = best.made.count / tried[0].made.count
-    known = {(t.mechanism, t.spot.place, t.spot.axis) for t in done}
-    rest = [replace(t, cost=t.cost * ratio) for t in tried if (t.mechanism, t.spot.place, t.spot.axis) not in known]
+    limit = NEAR * first[0].cost
+    done = [bench.follow_on(t, LONG) if t.cost < limit else t for t in first]
     done.sort(key=lambda t: t.cost)
-    front = [_carry_on(engine, point, runs, scatter, chosen, t, 8) if not t.made.converged else t for t in done[:2]]
-    return sorted([*front, *done[2:], *rest], key=lambda t: t.cost)
+    for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:
+        smooth = _smooth(bench, t)
+        if smooth is not None:
+            done.append(smooth)
+    return sorted(done, key=lambda t: t.cost)
 
 
-def _best_on_all(
-    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, tried: Sequence[Tried]
-) -> Tried | None:
-    """The best of rough fits on all runs: the second too where it is near."""
-    near = [t for t in tried[:2] if t.cost < 1.5 * tried[0].cost]
-    onto = [_onto(t, engine, point, runs, scatter, chosen) for t in near]
-    done = [_carry_on(engine, point, runs, scatter, chosen, t, 8) for t in onto if t is not None]
-    return min(done, key=lambda t: t.cost) if done else None
+def _smooth(bench: Bench, slider: Tried) -> Tried | None:
+    """Hysteresis in place of a slider."""
+    p, _ = slider.made.law(0)
+    start = np.zeros(N_P)
+    start[:4] = p[0], p[1] / max(p[0], 1e-300), 1.5, 0.5
+    lead = Lead(slider.spot, "hysteresis", start, slider.lead.gain)
+    return bench.follow(slider.made.x[: slider.made.n_base], lead, LONG)
 
 
-def _at_its_place(
-    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, best: Tried, leads: Sequence[Lead]
-) -> list[Tried]:  # fmt: skip
-    """The best place with other laws that its motion asks for, and hysteresis beside stick-slip."""
-    poor = best.made.data_part > POOR * best.made.count
-    here = [lead for lead in leads if lead.spot.place == best.spot.place and lead.mechanism != "hysteresis"]
-    own = max((lead.gain for lead in here), default=0.0)
-    part = FAR if poor else CLOSE
-    more = [
-        lead for lead in here
-        if lead.mechanism != best.mechanism and (lead.gain > part * own or (poor and lead.mechanism in SPRINGY))
-    ]  # fmt: skip
-    base = best.made.x[: best.made.n_base]
-    out = [_fit_one(engine, point, runs, scatter, chosen, base, lead, 5) for lead in more[:4]]
-    slips = [t for t in (best, *out) if t is not None and t.mechanism == "stick-slip"]
-    if slips and (poor or slips[0] is best):
-        p, _ = slips[0].made.law(0)
-        start = np.zeros(N_P)
-        start[:4] = p[0], p[1] / p[0], 2.0, 0.5
-        lead = Lead(slips[0].spot, "hysteresis", start, slips[0].lead.gain)
-        out.append(_fit_one(engine, point, runs, scatter, chosen, slips[0].made.x[: best.made.n_base], lead, 12))
-    return [t for t in out if t is not None]
+FRONT = 4
+"""Follows that are simulated, at most."""
+CLOSE = 1.5
+"""Cost, of the least, below which a follow may turn out better when it is simulated."""
 
 
-def engine_size(made: Made) -> int:
-    """Length of the base part of a fit's vector."""
-    return made.n_base
+def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
+    """The follows that came nearest fitted by simulation, then the others as they are."""
+    out: list[Tried] = []
+    best = np.inf
+    for t in near:
+        enough = sum(o.simulated for o in out)
+        if enough >= FRONT or (enough and t.cost > CLOSE * min(best, near[0].cost) and t.cost > best):
+            out.append(t)
+            continue
+        one = bench.simulate(t, LONG)
+        if one is None:
+            continue
+        out.append(one)
+        best = min(best, one.cost)
+    if not any(t.simulated for t in out):
+        return []
+    return sorted(out, key=lambda t: t.cost)
 
 
-def _general(
-    engine: Engine, point: Point, runs: Sequence[Run], scatter: Scatter, chosen, best: Made,
-    general: Sequence[Lead], tried: Sequence[Tried],
-) -> Tried | None:  # fmt: skip
-    """The general law, fitted at the best candidate's spot from its base, and at its own best spot."""
-    own = next((g for g in general if g.spot.place == tried[0].spot.place and g.gain > 0), None)
-    leads = [g for g in general[:2] if g.gain > 0]
-    if own is not None and own not in leads:
-        leads.append(own)
-    out = [_fit_one(engine, point, runs, scatter, chosen, best.x[: best.n_base], g, 8) for g in leads]
-    found = [t for t in out if t is not None]
-    return min(found, key=lambda t: t.cost) if found else None
+def _general(bench: Bench, best: Tried, leads: Sequence[Lead]) -> Tried | None:
+    """The general law where it promises most and at the best candidate's spot, followed, and the better simulated."""
+    leads = sorted((lead for lead in leads if lead.gain > 0), key=lambda lead: -lead.gain)
+    own = next((g for g in leads if g.spot.place == best.spot.place), None)
+    some = leads[:2] if own is None or own in leads[:2] else [*leads[:2], own]
+    made = [bench.follow(best.made.x[: best.made.n_base], g, LONG) for g in some]
+    near = sorted((t for t in made if t is not None), key=lambda t: t.cost)
+    done = [bench.simulate(t, LONG) for t in near[:1]]
+    return next((t for t in done if t is not None), None)
 
 
-def at_places(
-    study: Study, tried: Tried, spots: Sequence[Spot], scatter: Scatter, lines: int = 220, most: int = 4
-) -> list[Tried]:
-    """The winning law at its rivals' spots, each fitted: places that explain as well are named beside it."""
-    chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
-    p, _ = tried.made.law(0)
-    full = np.zeros(N_P)
-    full[: p.size] = p
-    out = []
-    for s in spots[:most]:
-        lead = replace(tried.lead, spot=s, p=full)
-        one = _fit_one(
-            study.engine, study.point, study.runs, scatter, chosen, tried.made.x[: tried.made.n_base], lead, 3
-        )
-        if one is not None:
-            out.append(one)
-    return out
+def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter, lines: int = 160) -> list[Tried]:
+    """The winning law at other spots: followed, and simulated where that comes near."""
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines)
+    x = best.made.x[: best.made.n_base]
+    made = [bench.follow(x, replace(_of_fit(best), spot=s), LONG) for s in spots]
+    near = [t for t in made if t is not None]
+    done = [bench.simulate(t, LONG) if t.cost < CLOSE * best.cost else t for t in near]
+    return [t for t in done if t is not None]
 
 
 FINE = 350
@@ -350,9 +359,8 @@ FINE = 350
 
 def base_again(study: Study, scatter: Scatter, lines: int = FINE) -> Made:
     """The base fitted to as many lines as the best laws are: gains are differences on the same data."""
-    chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
-    plain = Joint(study.engine, study.point, study.runs, (), scatter, chosen)
-    return fit(plain, study.base.x, [None] * len(study.runs), steps=6)
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines)
+    return fit(bench.joint([]), study.base.x, [None] * len(study.runs), steps=6)
 
 
 def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = FINE, most: int = 2) -> list[Tried]:
@@ -361,23 +369,20 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     Costs of the others are raised by what the best's own rose with the lines: they stay comparable.
     """
     everyone = sorted((t for t in [*study.tried, *more] if np.isfinite(t.cost)), key=lambda t: t.cost)
-    if not everyone:
-        return []
     front: list[Tried] = []
     for t in everyone:
         if not any(t.same(o) for o in front):
             front.append(t)
-    limit = everyone[0].cost * 3 + 1e3
-    chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
-    done = [
-        _carry_on(study.engine, study.point, study.runs, scatter, chosen, t, 4)
-        for t in front[:most]
-        if t is front[0] or t.cost < limit
-    ]
+    shown = [t for t in front if t.simulated]
+    if not shown:
+        return []
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines)
+    limit = shown[0].cost * 3 + 1e3
+    done = [bench.carry_on(t, 4) for t in shown[:most] if t is shown[0] or t.cost < limit]
     best = min(done, key=lambda t: t.cost)
-    sure = _carry_on(study.engine, study.point, study.runs, scatter, chosen, best, 2, always=True)
+    sure = bench.carry_on(best, 2, always=True)
     done = [sure if t is best else t for t in done]
-    best = sure
-    ratio = best.made.count / everyone[0].made.count
+    ratio = sure.made.count / shown[0].made.count
     rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
-    return sorted([*done, *rest], key=lambda t: t.cost)
+    ahead = sorted([*done, *(t for t in rest if t.simulated)], key=lambda t: t.cost)
+    return [ahead[0], *sorted([*ahead[1:], *(t for t in rest if not t.simulated)], key=lambda t: t.cost)]

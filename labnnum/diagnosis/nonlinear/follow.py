@@ -1,0 +1,121 @@
+"""Laws fitted along the motion that the measurement shows, before anything is marched.
+
+The motion at a law's place follows from the base model and the measured responses (`locate.recover`), and with it the
+force of the law: the response to that force and to the input is compared with the measured one (the equation error
+of Ljung 1999, chapter 7.4). No steady state is sought, nothing can fail to settle, and the objective is smooth in the
+law's parameters and in the base model's, which are free beside them. A fit by simulation that begins here begins near
+its end, and on the branch of the response on which the structure was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.laws import force_along
+from labnnum.diagnosis.nonlinear.lines import Lines
+from labnnum.diagnosis.nonlinear.locate import motion_of, window_of
+from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint
+from labnnum.diagnosis.nonlinear.receptance import Base
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.steady import Orbit
+
+SLOW = 0.05
+"""Speed, of its RMS in the fastest run, below which a dry contact may be at rest."""
+NUDGE = 1e-4
+"""Relative change of a law's parameter for its slope."""
+
+
+class Followed(Joint):
+    """The objective of `Joint` with one law, its force taken along the recovered motion instead of a simulated one.
+
+    Spectra of open runs are compared through their window. Orbits hold the force as it is compared in `force`, that
+    without a window in `time`, and the recovered motion, speed and force in `motion`, on
+    `locate.FINE` samples to one of the run.
+    """
+
+    def __init__(
+        self, engine: Engine, point: Point, runs: Sequence[Run], term: Acting, scatter: Scatter, lines: Sequence[Lines]
+    ) -> None:  # fmt: skip
+        seen = [replace(r, u=r.seen(r.u), y=r.seen(r.y), open=False) if r.open else r for r in runs]
+        super().__init__(engine, point, seen, (term,), scatter, [Lines(a.at, a.sigma) for a in lines])
+        self.measured = tuple(runs)
+        self.slow = 0.0
+        self.all_lines: dict[Any, Base] = {}
+        for key in {r.key for r in runs}:
+            period, rate, decay = key
+            omega = 2 * np.pi * np.arange(period // 2 + 1) * rate / period
+            self.all_lines[key] = Base(engine, point, term.column[:, None], omega, decay)
+
+    def settle(self, x: NDArray, orbits: Sequence[Orbit | None], steps: int) -> list[Orbit | None]:
+        """The recovered motion at `x` and the law's force along it."""
+        p = self.laws(x)[0]
+        made = {key: b.at(x[: self.n_base]) for key, b in self.all_lines.items()}
+        seen = [motion_of(run, made[run.key])[:3] for run in self.measured]
+        self.slow = SLOW * max(float(np.sqrt(np.mean(v**2))) for _, v, _ in seen)
+        return [self._orbit(run, m, p) for run, m in zip(self.measured, seen, strict=True)]
+
+    def _orbit(self, run: Run, seen: tuple[NDArray, NDArray, NDArray], p: NDArray) -> Orbit:
+        force = self._force(run, *seen, p)
+        none = np.zeros((2, 0)), np.zeros(1), np.zeros((1, 2))
+        return Orbit(
+            *none, self._spectrum(run, force)[None], force[:, None], np.stack(seen, axis=-1)[:, None], closing=0.0
+        )
+
+    def _force(self, run: Run, z: NDArray, v: NDArray, f: NDArray, p: NDArray) -> NDArray[np.float64]:
+        """The law's force on the structure; what holds a dry contact that does not move is any force up to its limit."""
+        if self.terms[0].shape.law == "coulomb":
+            return np.where(np.abs(v) > self.slow, -p[0] * np.sign(v), np.clip(f, -p[0], p[0]))
+        return -force_along(self.terms[0].shape, z, v, p, around=run.lasting)
+
+    @staticmethod
+    def _spectrum(run: Run, force: NDArray) -> NDArray[np.complex128]:
+        whole = np.fft.rfft(force * window_of(run, force.size)) * (2 / force.size)
+        return whole[: run.u.size]
+
+    def slopes(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, list[Orbit | None]]:
+        """Derivatives of the whitened responses, (n_out, n_x, N), the motion held."""
+        made = self.receptances(x)
+        derived = {key: b.at_sensors(x[: self.n_base], made[key]) for key, b in self.bases.items()}
+        p = self.laws(x)[0]
+        n = self.terms[0].n
+        out = []
+        for shown, run, lines, orbit in zip(self.runs, self.measured, self.lines, orbits, strict=True):
+            assert orbit is not None
+            r, (dp, dh) = made[run.key], derived[run.key]
+            here = r.index(lines.at)
+            change = dp[:, :, here] * (r.gain * shown.u)[lines.at]
+            change = change + dh[:, :, 0][..., here] * orbit.force[0, lines.at]
+            z, v, f = orbit.motion[:, 0].T
+            through = []
+            for i in range(n):
+                step = np.zeros(N_P)
+                scale = self.scale[self.n_base + i]
+                step[i] = NUDGE * max(abs(p[i]), 1e-3 * scale)
+                moved = self._spectrum(run, self._force(run, z, v, f, p + step) - orbit.time[:, 0])[lines.at]
+                through.append(r.h[:, 0, here] * moved * (scale / step[i]))
+            change = np.concatenate([change, np.array(through)])
+            out.append(self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)))
+        return np.concatenate(out, axis=-1), list(orbits)
+
+
+def marched_from(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> list[Orbit | None]:
+    """Where the march of `joint` begins: the steady states of the forces that were followed."""
+    made = joint.receptances(x)
+    out: list[Orbit | None] = []
+    for run, steady, orbit in zip(joint.runs, joint.steady, orbits, strict=True):
+        if orbit is None:
+            out.append(None)
+            continue
+        n = orbit.time.shape[0]
+        spectrum = np.fft.rfft(orbit.time * window_of(run, n, ends=False)[:, None], axis=0)[: run.u.size] * (2 / n)
+        time = np.moveaxis(steady.to_time(np.ascontiguousarray(spectrum.T)), -1, 0)
+        out.append(steady.guess(made[run.key], np.ascontiguousarray(time)))
+    return out

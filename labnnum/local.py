@@ -1,0 +1,116 @@
+r"""FRFs of a whole record by local rational functions of frequency, which see through leakage.
+
+Around every estimated line the spectra of a record that neither repeats nor begins at rest obey
+
+.. math:: A(r) Y(k + r) = B(r) U(k + r) + C(r) + V(k + r), \quad |r| \le w
+
+with polynomials A (A(0) = 1), B and C of the line number r: B/A is the FRF there, C/A what the ends of the record put
+into it, which is as smooth as the FRF is (McKelvey and Guerin 2012, equation 6; Pintelon and Schoukens 2012, chapter 7,
+with A = 1 as the local polynomial method). Segments and windows are not needed, so that a resonance is seen with the
+resolution of the whole record, and a sweep like noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.errors import ChannelError, EstimationError
+from labnnum.frf import Frf
+from labnnum.recording import Recording
+
+__all__ = ["local_frf"]
+
+HALF = 8
+"""Lines on either side of an estimated one that enter its estimate."""
+ORDER = 2
+"""Degree of the polynomials."""
+BETTER = 0.8
+"""Variance that a denominator must leave at most, of what the polynomials alone leave, to be used."""
+DRIVEN = 1e-4
+"""Power of the input, of its largest, below which a line is not estimated."""
+
+
+def local_frf(recording: Recording, *, half: int = HALF, step: int | None = None) -> Frf:
+    """FRFs of all responses to the one input of a record, every `step`-th line.
+
+    Parameters
+    ----------
+    recording : Recording
+        One input; its longest span without a gap is used.
+    half : int
+        Lines on either side that enter an estimate, at least 6.
+    step : int, optional
+        Lines from one estimate to the next; `2 * half + 1`, so that estimates share no line, if not given.
+
+    Returns
+    -------
+    Frf
+        With the variance of every value from what the local functions leave, estimator "local".
+
+    Raises
+    ------
+    ChannelError
+        If there is not exactly one input.
+    EstimationError
+        If the record is too short for a single estimate.
+
+    References
+    ----------
+    T. McKelvey and G. Guerin 2012, "Non-parametric frequency response estimation using a local rational model";
+    R. Pintelon and J. Schoukens 2012, "System Identification", chapter 7.
+    """
+    if len(recording.inputs) != 1:
+        raise ChannelError(f"{recording.label}: local FRFs need one input, not {len(recording.inputs)}")
+    if half < 6:
+        raise EstimationError(f"half is {half}, expected at least 6 lines on either side")
+    start, stop = max(recording.spans(), key=lambda span: span[1] - span[0])
+    x = recording.data[:, start:stop]
+    n = x.shape[1]
+    spectra = np.fft.rfft(x - x.mean(axis=1, keepdims=True), axis=1) / recording.rate
+    u, y = spectra[recording.inputs[0]], spectra[list(recording.outputs)]
+    step = 2 * half + 1 if step is None else step
+    centres = np.arange(half + 1, u.size - half, step)
+    around = centres[:, None] + np.arange(-half, half + 1)
+    power = np.mean(np.abs(u[around]) ** 2, axis=1) if centres.size else np.zeros(0)
+    if not centres.size or not power.max() > 0:
+        raise EstimationError(f"{recording.label}: {n} samples are too few for local FRFs, or the input is silent")
+    driven = power > DRIVEN * power.max()
+    centres, around = centres[driven], around[driven]
+    value = np.empty((y.shape[0], centres.size), complex)
+    variance = np.empty((y.shape[0], centres.size))
+    for i, row in enumerate(y):
+        value[i], variance[i] = _local(u[around], row[around])
+    return Frf(
+        centres * recording.rate / n, value[:, None], tuple(recording.channels[i] for i in recording.outputs),
+        (recording.channels[recording.inputs[0]],), None, variance[:, None], 1.0, "local",
+        {"rate": recording.rate, "n_record": n, "half": half, "step": step},
+    )  # fmt: skip
+
+
+def _local(u: NDArray, y: NDArray) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """FRF and its variance at the middle of windows (n, 2 half + 1) of spectra."""
+    half = u.shape[1] // 2
+    r = np.arange(-half, half + 1) / half
+    powers = r[:, None] ** np.arange(ORDER + 1)
+    plain = np.concatenate([u[:, :, None] * powers, np.broadcast_to(powers, (*u.shape, ORDER + 1))], axis=2)
+    value, variance, left = _fitted(plain, y)
+    whole = np.concatenate([plain, -y[:, :, None] * powers[:, 1:]], axis=2)
+    other, other_variance, other_left = _fitted(whole, y)
+    use = other_left < BETTER * left
+    return np.where(use, other, value), np.where(use, other_variance, variance)
+
+
+def _fitted(columns: NDArray, y: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Least squares window by window: first coefficient, its variance, variance of what is left."""
+    scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=1)) + 1e-300
+    q, r = np.linalg.qr(columns / scale[:, None])
+    inner = np.einsum("nij,ni->nj", np.conj(q), y)
+    left = y - np.einsum("nij,nj->ni", q, inner)
+    spread = np.sum(np.abs(left) ** 2, axis=1) / (y.shape[1] - columns.shape[2])
+    identity = np.broadcast_to(np.eye(columns.shape[2]), r.shape)
+    diagonal = np.abs(np.einsum("njj->nj", r))
+    r = np.where((diagonal < 1e-10)[:, :, None] & (identity > 0), 1e-10, r)
+    inverse = np.linalg.solve(r, identity.astype(complex))
+    value = np.einsum("nj,nj->n", inverse[:, 0], inner) / scale[:, 0]
+    return value, spread * np.sum(np.abs(inverse[:, 0]) ** 2, axis=1) / scale[:, 0] ** 2, spread
