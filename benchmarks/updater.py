@@ -1,15 +1,19 @@
 """The updater beside its peers on the same data, in one run: accuracy, training time, estimate time, failures.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/updater.py [--parts accuracy speed frfs growth] [--json]
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/updater.py [--parts accuracy speed frfs growth]
+        [--json] [--plots FOLDER]
 
 accuracy  truck, five parameters, one FRF, 800 clean samples and 1 % noise at estimation: our network, the same refined,
           the dissertation's, RBFInterpolator, a Gaussian process, a multilayer perceptron, penalty function, output
           error and least squares from nominal values. A failure lies beyond eight deviations of the bound.
-speed     solving for 800, 3000 and 30,000 samples (800 centres for the last); one estimate; a batch; refined.
+speed     solving for 800, 3000 and 30,000 samples (800 centres for the last); one estimate; a batch, by one thread and
+          by two, without and with the second stage; refined, one alone (compiled) and a thousand together.
 frfs      FRFs of a training set: one dense solve for each frequency and set, numpy's batched solve, and ours.
-growth    time against samples, degrees of freedom, frequencies and parameters, with fitted exponents.
+growth    time against samples, degrees of freedom, frequencies and parameters, with fitted exponents; --plots FOLDER
+          draws them (growth.svg).
 
-Times are processor seconds of one thread (pin them, as above), the best of several repeats. The machine's own matrix
+Times are processor seconds of one thread (pin them, as above), the best of several repeats; of two threads, seconds on
+the clock. The machine's own matrix
 product and copy are timed beside, so that a time can be read as a share of what it can do.
 """
 
@@ -20,51 +24,30 @@ import json
 import time
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 from scipy import linalg
 from scipy.interpolate import RBFInterpolator
+from updater_sizes import best, draw_growth, frfs, growth, product_rate, rows, truck_case
 
 from labnnum.frf import Frf
-from labnnum.parameters import Parameter, bounds, truncated_samples
-from labnnum.structures.chain import GROUND, Chain, Link
-from labnnum.structures.examples import EXAMPLES, force_at, motion_of
+from labnnum.parameters import truncated_samples
 from labnnum.updating import fitting
-from labnnum.updating.batch import FrfBatch
 from labnnum.updating.compiled import compiled
+from labnnum.updating.compiled_refine import compiled_refinement
 from labnnum.updating.features import BandIntegrals, LogBands
 from labnnum.updating.fitting import fit_printed, fit_tuned, principal_components
+from labnnum.updating.kernels import kernel_values, squared_distances
 from labnnum.updating.many import bound_deviations, refine_many
-from labnnum.updating.network import kernel_values, squared_distances
+from labnnum.updating.network import RbfNetwork
 from labnnum.updating.peers import output_error, penalty
 from labnnum.updating.regression import BLOCK, triangle
+from labnnum.updating.scores import ScoreBands, references
 from labnnum.updating.training import Disturbance, draw
 
 NOISE = 0.01
-
-
-def best(work: Callable[..., object], *given: object, repeats: int = 3) -> float:
-    """Least processor seconds of the repeats: what other programs do on the machine hardly counts."""
-    times = []
-    for _ in range(repeats):
-        begin = time.process_time()
-        work(*given)
-        times.append(time.process_time() - begin)
-    return min(times)
-
-
-def truck_case(outputs: int = 1):
-    e = EXAMPLES["truck"]()
-    lines = np.unique(np.concatenate([np.linspace(b.low, b.high, 60) for b in e.bands]))
-    return e, lines, FrfBatch.of(e.structure, lines, e.outputs[:outputs], e.inputs)
-
-
-def rows(features, lines, batch, theta, noise=0.0, first=0):
-    out = [
-        features(lines, Disturbance(noise).on(batch.frf(theta[i : i + 256]), 0, first + i))
-        for i in range(0, len(theta), 256)
-    ]
-    return np.vstack(out)
 
 
 def accuracy(sets: int) -> list[dict]:
@@ -172,7 +155,7 @@ def speed() -> list[dict]:
     x = rows(features, lines, batch, theta)
     tuned = fit_tuned(x[:800], theta[:800])
     z, y = tuned.inputs(x), (theta - theta.mean(axis=0)) / theta.std(axis=0)
-    rate = _product_rate()
+    rate = product_rate()
     out: list[dict] = []
     for n in (800, 3000):
         seconds = best(_weights, z[:n], y[:n])
@@ -214,14 +197,62 @@ def _answers(e, lines, batch, features, theta, x, tuned) -> list[dict]:
     quick(one)
     value = Disturbance(NOISE).on(batch.frf(theta[:1000]), 0, 0)
     start, single = tuned(features(lines, value)), value[:1]
+    alone = compiled_refinement(batch)
+    alone(value[0], start[0])
     return [
         {"what": "one estimate, compiled", "us": 1e6 * best(_repeat, quick, one, 2000) / 2000},
         {"what": "one estimate, numpy", "us": 1e6 * best(_repeat, tuned, one, 500) / 500},
         {"what": "features of one FRF", "us": 1e6 * best(_repeat, lambda v: features(lines, v), single, 300) / 300},
-        {"what": "batch of 20000", "per_second": 20_000 / best(tuned, x[:20_000])},
+        _rates("batch of 20000", tuned, x[:20_000]),
+        *_second_stage(e, lines, batch, theta),
         {"what": "refined, 1000 at once", "us": 1e6 * best(_refine, batch, value, start) / 1000},
-        {"what": "refined, one", "us": 1e6 * best(_repeat, lambda s: _refine(batch, single, s), start[:1], 20) / 20},
+        {"what": "refined, one, compiled", "us": 1e6 * best(_each, alone, value, start) / 1000},
+        {"what": "refined, one, vectorised",
+         "us": 1e6 * best(_repeat, lambda s: _refine(batch, single, s), start[:1], 20) / 20},
     ]  # fmt: skip
+
+
+def _second_stage(e, lines, batch, theta) -> list[dict]:
+    """A network trained with noise on all samples and 800 centres: training as a whole, and its answers."""
+    free = e.structure.parameters
+    spread = np.array([p.spread for p in free])
+    value, slope = batch.sensitivity(references(free))
+    features = ScoreBands.at_references(tuple(e.bands), lines, value, slope, spread).spanned()
+    x = rows(features, lines, batch, theta, NOISE)
+    begin = time.process_time()
+    network = fit_tuned(x, theta, centres=800, most=features.components)
+    trained = time.process_time() - begin
+    quick = compiled(network)
+    quick(x[5])
+    return [
+        {"what": "network with noise, 30000 samples, whole training", "seconds": trained,
+         "inputs": network.centres.shape[1], "second_stage_coefficients": network.gains[..., 0].size},
+        {"what": "one estimate, second stage, compiled", "us": 1e6 * best(_repeat, quick, x[5], 2000) / 2000},
+        _rates("batch of 20000, second stage", network, x[:20_000]),
+    ]  # fmt: skip
+
+
+def _rates(what: str, network: RbfNetwork, x: np.ndarray) -> dict:
+    """Answers a second by one thread (of processor time) and by two (on the clock), and the share of matrix product."""
+    one = best(network, x, repeats=5)
+    with ThreadPoolExecutor(2) as pool:
+        halves = np.array_split(x, 2)
+        clock = []
+        for _ in range(5):
+            begin = time.perf_counter()
+            list(pool.map(network, halves))
+            clock.append(time.perf_counter() - begin)
+    centres, inputs = network.centres.shape
+    wide = centres * (inputs + 2 + network.n_outputs) + (1 + inputs) * network.n_outputs * (
+        (1 + inputs) * (network.degree >= 0) + len(network.gains)
+    )
+    return {"what": what, "per_second": len(x) / one, "per_second_two_threads": len(x) / min(clock),
+            "share_of_matrix_product": 2 * wide * len(x) / one / product_rate()}  # fmt: skip
+
+
+def _each(refine, value, start):
+    for v, s in zip(value, start, strict=True):
+        refine(v, s)
 
 
 def _refine(batch, value, start):
@@ -234,124 +265,6 @@ def _repeat(work, given, times):
         work(given)
 
 
-def _product_rate(n: int = 1200) -> float:
-    """Floating point operations a second of this machine's matrix product, one thread."""
-    a = np.random.default_rng(0).random((n, n))
-    return 2 * n**3 / best(np.matmul, a, a)
-
-
-def frfs() -> list[dict]:
-    """Training FRFs of the truck, of Yang's ladder and of the frame: dense solves against ours."""
-    sizes = (("truck", 800, 180, 20), ("yang-brown-low", 828, 240, 10), ("frame", 1200, 400, 2))
-    return [_compared(*one) for one in sizes]
-
-
-def _compared(name: str, sets: int, n_lines: int, few: int) -> dict:
-    """Dense solves of a few sets, scaled up to all; ours of all."""
-    e = EXAMPLES[name]()
-    lines = np.linspace(min(b.low for b in e.bands), max(b.high for b in e.bands), n_lines)
-    theta = draw(e.structure.parameters, sets, "sobol", 0, 0.05)
-    batch = FrfBatch.of(e.structure, lines, e.outputs, e.inputs)
-    naive = best(_naive, e, theta[:few], lines, repeats=2) * sets / few
-    stacked = best(_stacked, e, theta[:few], lines, repeats=2) * sets / few
-    prepared = best(FrfBatch.of, e.structure, lines, e.outputs, e.inputs, repeats=1)
-    ours = best(_in_blocks, batch, theta)
-    got, exact = batch.frf(theta[:few]), _stacked(e, theta[:few], lines)
-    size = np.maximum(np.abs(exact), 1e-3 * np.abs(exact).max(axis=-1, keepdims=True))
-    written = 16 * np.prod(batch.shape) * sets / ours
-    return {
-        "structure": name, "sets": sets, "lines": n_lines, "naive_s": naive, "batched_solve_s": stacked, "ours_s": ours,
-        "prepare_s": prepared, "ratio": naive / ours, "ratio_to_batched": stacked / ours,
-        "share_of_memory_copy": written / _copy_rate(), "error": float((np.abs(got - exact) / size).max()),
-        "engine": type(batch.engine).__name__,
-    }  # fmt: skip
-
-
-def _in_blocks(batch: FrfBatch, theta: np.ndarray) -> None:
-    for start in range(0, len(theta), 128):
-        batch.frf(theta[start : start + 128])
-
-
-def _copy_rate(n: int = 1 << 24) -> float:
-    """Bytes a second that this machine copies."""
-    a = np.ones(n)
-    return a.nbytes / best(np.copy, a)
-
-
-def _dense(e, theta):
-    m = e.structure.matrices(theta)
-    rows = np.array([c.sign * e.structure.participation(c.dof, theta) for c in e.outputs])
-    loads = np.array([c.sign * e.structure.participation(c.dof, theta) for c in e.inputs]).T
-    return m, rows, loads
-
-
-def _naive(e, thetas, lines):
-    """One solve for each frequency and set, as it is first written."""
-    order = {"displacement": 0, "velocity": 1, "acceleration": 2}
-    out = []
-    for theta in thetas:
-        m, r, b = _dense(e, theta)
-        h = [r @ np.linalg.solve(m.K + 1j * w * m.C + 1j * m.D - w**2 * m.M, b) for w in 2 * np.pi * lines]
-        power = np.array([order[c.quantity] for c in e.outputs])[:, None, None]
-        out.append(np.moveaxis(np.array(h), 0, -1) * (2j * np.pi * lines) ** power)
-    return np.array(out)
-
-
-def _stacked(e, thetas, lines):
-    """numpy's batched solve over all frequencies of a set."""
-    order = {"displacement": 0, "velocity": 1, "acceleration": 2}
-    w = (2 * np.pi * lines)[:, None, None]
-    out = []
-    for theta in thetas:
-        m, r, b = _dense(e, theta)
-        h = r @ np.linalg.solve(m.K + 1j * w * m.C + 1j * m.D - w**2 * m.M, b)
-        power = np.array([order[c.quantity] for c in e.outputs])[:, None, None]
-        out.append(np.moveaxis(h, 0, -1) * (2j * np.pi * lines) ** power)
-    return np.array(out)
-
-
-def chain_of(n: int, free: int = 2) -> Chain:
-    """n masses in a row, the first `free` springs free."""
-    links = [
-        Link(GROUND, "0", "k0"),
-        *(Link(str(i), str(i + 1), f"k{i + 1}" if i + 1 < free else 1e4, 1.0) for i in range(n - 1)),
-    ]
-    parameters = tuple(Parameter(f"k{i}", 1e4, 7e3, 1.3e4) for i in range(free))
-    return Chain({str(i): 1.0 for i in range(n)}, tuple(links), parameters)
-
-
-def growth() -> list[dict]:
-    """Seconds against size, with the exponent of a power law fitted to the larger half."""
-    out = []
-
-    def sweep(what: str, sizes: tuple[int, ...], work: Callable[[int], Callable[[], object]]) -> None:
-        seconds = [best(work(n)) for n in sizes]
-        half = len(sizes) // 2
-        slope = np.polyfit(np.log(sizes[half:]), np.log(seconds[half:]), 1)[0]
-        out.append({"against": what, "sizes": list(sizes), "seconds": seconds, "exponent": float(slope)})
-
-    lines = np.linspace(0.5, 8.0, 200)
-
-    def made(n, free=2, f=lines):
-        structure = chain_of(n, free)
-        batch = FrfBatch.of(structure, f, (motion_of(str(n - 1)),), (force_at("0"),))
-        low, high = bounds(structure.parameters)
-        theta = low + (high - low) * np.random.default_rng(0).random((64, free))
-        return lambda: batch.frf(theta)
-
-    sweep("degrees of freedom (64 sets, 200 lines)", (4, 8, 16, 24), lambda n: made(n))
-    sweep("lines (64 sets, 8 degrees of freedom)", (200, 400, 800, 1600), lambda n: made(8, 2, np.linspace(0.5, 8, n)))
-    sweep("parameters (64 sets, 16 degrees of freedom)", (2, 4, 6, 8), lambda n: made(16, n))
-
-    e, f, batch = truck_case()
-    features = LogBands(tuple(e.bands))
-    theta = draw(e.structure.parameters, 3200, "sobol", 0, 0.05)
-    x = rows(features, f, batch, theta)
-    sweep("samples (tuned network, every sample a centre)", (400, 800, 1600, 3200),
-          lambda n: lambda: fit_tuned(x[:n], theta[:n]))  # fmt: skip
-    return out
-
-
 PARTS: dict[str, Callable[[], list[dict]]] = {"speed": speed, "frfs": frfs, "growth": growth}
 
 
@@ -360,8 +273,11 @@ def main() -> None:
     reader.add_argument("--parts", nargs="+", default=["accuracy", *PARTS], choices=["accuracy", *PARTS])
     reader.add_argument("--sets", type=int, default=1000, help="verification sets of the accuracy part")
     reader.add_argument("--json", action="store_true")
+    reader.add_argument("--plots", type=Path, help="folder for the plots of growth")
     told = reader.parse_args()
     found = {p: accuracy(told.sets) if p == "accuracy" else PARTS[p]() for p in told.parts}
+    if told.plots is not None and "growth" in found:
+        draw_growth(found["growth"], told.plots)
     if told.json:
         print(json.dumps(found))
         return

@@ -1,8 +1,12 @@
 """Updater files (.h5): a trained network with its bands, range, model and validation, to load years later.
 
-Layout of format 1: arrays of the network under /network, of the features under /features (where they have any), of
+Layout of format 2: arrays of the network under /network, of the features under /features (where they have any), of
 the novelty check under /novelty; frequency, validation
 and fingerprint at the root; everything else as JSON in /about; the model file's text in /model.toml.
+
+Files of every format up to this one are read. Whatever a format added stands in `ADDED`: an older file may lack it, and
+the network's own default holds; a file of its format or a later one that lacks it is damaged. A file of a later format
+than this is refused.
 """
 
 from __future__ import annotations
@@ -33,7 +37,10 @@ from sessions.model import Model, parse_model
 from sessions.tables import read_json, read_text, write_json, write_text
 
 FORMAT = "labnnum-updater"
-VERSION = 1
+VERSION = 2
+
+ADDED: dict[str, int] = {"gains": 2, "reach": 2}
+"""Array of /network -> the format that brought it; the others are in all. Format 2: the second stage, gains.py."""
 
 
 def save_updater(path: str | Path, updater: Updater, model: Model | None = None) -> Path:
@@ -114,9 +121,11 @@ def _opened(path: Path) -> h5py.File:
     except OSError as error:
         raise FileError(f"{path}: is no HDF5 file, or cut short; train it again with 'labnnum train'") from error
     kind, version = file.attrs.get("format"), int(file.attrs.get("version", 0))
-    if kind == FORMAT and version <= VERSION:
+    if kind == FORMAT and 1 <= version <= VERSION:
         return file
     file.close()
+    if kind == FORMAT and version < 1:
+        raise FileError(f"{path}: states no format from 1 to {VERSION}; train it again with 'labnnum train'")
     if kind == FORMAT:
         raise FileError(f"{path}: is of format {version}, this program reads up to {VERSION}: update labnnum")
     raise FileError(f"{path}: is no updater{f' but a {kind}' if kind else ''}; give a file made by 'labnnum train'")
@@ -164,6 +173,9 @@ def _read(file: Any, path: Path, structure: Structure | None) -> Updater:
     require_same(structure, tuple(about["parameters"]), file["fingerprint"][()], str(path))
     group = file["network"]
     arrays = {key: dataset[()] for key, dataset in group.items()}
+    for key, since in ADDED.items():
+        if key not in arrays and file.attrs["version"] >= since:
+            raise FileError(f"{path}: is damaged: network/{key} is missing; train it again with 'labnnum train'")
     scalars = {"degree": int, "kernel": str, "kind": str, "gamma": float}
     arrays |= {key: kind(group.attrs[key]) for key, kind in scalars.items()}
     told = dict(about["features"])

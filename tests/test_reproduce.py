@@ -36,6 +36,19 @@ def test_published_errors_name_the_parameters_of_their_case(name):
     assert solver.shape[2] == case.frequency.size
 
 
+@pytest.mark.parametrize("name", ["truck-2", "duffing-scales"])
+def test_lines_in_each_band_can_be_chosen(name):
+    case = CASES[name]()
+    assert case.with_lines(0) is case
+    more = case.with_lines(20)
+    inside = [(more.frequency >= b.low) & (more.frequency <= b.high) for b in more.bands]
+    assert all(i.sum() == 20 for i in inside)
+    assert more.solver().shape[2] == more.frequency.size
+    theta = np.array([[(p.lower + p.upper) / 2 for p in more.solver().parameters]])
+    shared = np.flatnonzero(np.isclose(case.frequency, more.bands[0].low, rtol=1e-12))
+    assert np.allclose(more.solver().frf(theta)[..., 0], case.solver().frf(theta)[..., shared[0]], rtol=1e-9)
+
+
 def test_refined_errors_stand_on_the_bound(truck):
     assert (truck.of("refined", 0.0).most < 1e-6).all()
     assert truck.of("refined", 0.0).failures == truck.of("refined", 0.01).failures == 0

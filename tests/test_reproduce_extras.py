@@ -43,10 +43,10 @@ def slow_clock(monkeypatch):
 
 
 def test_the_loop_follows_a_truck_that_drifts(slow_clock):
-    walk = drift.drift(2, 0, quiet, samples=450)
+    walk = drift.drift(12, 0, quiet, samples=450)
     assert all(b.adaptive[0] > 0 for b in walk)
     assert {len(b.latency) for b in walk} == {4}
-    assert "following gain: unstable after 0 of 2" in drift_table(walk)
+    assert "following gain: unstable after 0 of 12" in drift_table(walk)
     assert drift_figure(walk).startswith("<svg")
 
 
@@ -57,7 +57,7 @@ def test_two_experiments_tell_the_wheel_from_the_actuator_while_the_loop_is_clos
     theta = truck().nominal
     theta[2] *= 1.2
     halves = []
-    for sign in (1.0, -1.0):
+    for sign in (-1.0, 1.0, -1.0):
         for _ in range(2):
             last = plant.run(g, sign, lambda share: theta)
         halves.append(last)
@@ -66,6 +66,14 @@ def test_two_experiments_tell_the_wheel_from_the_actuator_while_the_loop_is_clos
     assert decay(observer_feedback(control.system(theta), g.model, g.K, g.L)) > 0.5
     exact = type(true).of(updater.structure, updater.frequency, updater.outputs, updater.inputs).frf(theta)[0]
     assert np.abs(frf.value / exact - 1).max() < 0.01
+
+
+def test_the_truth_drifts_on_without_a_step_from_period_to_period():
+    seen = [drift._truth_in(3, period, 90, share) for period in range(4) for share in (0.0, 0.5, 1.0)]
+    seen += [drift._truth_in(4, 0, 90, 0.0)]
+    steps = np.diff(np.array(seen)[:, 2])  # k3 falls evenly
+    assert (steps <= 0).all()
+    assert np.allclose(steps[2::3], 0, atol=1e-9 * seen[0][2])
 
 
 def test_flags_are_counted():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
@@ -6,6 +8,7 @@ from labnnum.bands import Band
 from labnnum.errors import FileError, ModelError
 from labnnum.recording import Channel
 from labnnum.updating import Updater
+from labnnum.updating.gains import n_polynomials
 from labnnum.updating.training import TrainingSet
 from sessions.model import read_model
 from sessions.updaters import load_training, load_updater, save_training, save_updater
@@ -119,6 +122,44 @@ def test_files_that_are_no_updaters_are_refused(case, tmp_path):
         del file["network/weights"]
     with pytest.raises(FileError, match=r"damaged\.h5: is damaged"):
         load_updater(damaged, case[1].structure)
+
+
+def changed(path, to, *, version, without=()):
+    """A copy of an updater file that states another format and lacks some of its arrays."""
+    to.write_bytes(path.read_bytes())
+    with h5py.File(to, "a") as file:
+        file.attrs["version"] = version
+        for name in without:
+            del file[f"network/{name}"]
+    return to
+
+
+def test_a_file_of_format_1_is_read_and_answers_without_a_second_stage(case, tmp_path):
+    _, _, trained, path = case
+    with h5py.File(path, "r") as file:
+        assert file.attrs["version"] == 2
+    old = changed(path, tmp_path / "old.h5", version=1, without=("gains", "reach"))
+    (tmp_path / "model.toml").write_text(MODEL)
+    again = load_updater(old)
+    first = replace(trained.network, gains=np.empty((0, 0, 0)), reach=np.empty(0))
+    x = trained.features(LINES, np.ones((3, 1, 1, LINES.size)) * (1 + 0.1j))
+    assert again.network.gains.size == 0
+    assert np.array_equal(again.predict(x), first(x))
+
+
+def test_a_second_stage_comes_back_and_is_missed_where_its_format_has_it(case, tmp_path):
+    _, model, trained, path = case
+    n_in, n_out = trained.network.centres.shape[1], 2
+    gains = np.random.default_rng(1).normal(size=(n_polynomials(n_out, 2), 1 + n_in, n_out))
+    staged = replace(trained, network=replace(trained.network, gains=gains, reach=np.full(n_out, 1.7)))
+    again = load_updater(save_updater(tmp_path / "staged.h5", staged, model))
+    x = trained.features(LINES, np.ones((3, 1, 1, LINES.size)) * (1 + 0.1j))
+    assert np.array_equal(again.predict(x), staged.predict(x))
+    assert not np.array_equal(again.predict(x), trained.predict(x))
+    with pytest.raises(FileError, match=r"lacking\.h5: is damaged: network/reach is missing; train it again"):
+        load_updater(changed(path, tmp_path / "lacking.h5", version=2, without=("reach",)), model.structure)
+    with pytest.raises(FileError, match=r"unnumbered\.h5: states no format from 1 to 2"):
+        load_updater(changed(path, tmp_path / "unnumbered.h5", version=0))
 
 
 def test_without_a_model_file_the_model_must_be_named(case, tmp_path):

@@ -20,7 +20,7 @@ _WIDTH = 0.05
 
 _LINES = 40
 _REACH = 1.5
-"""Highest natural frequency that is proposed, over the highest band's."""
+"""Highest natural frequency that is proposed, over the highest band's, where nothing else limits it."""
 
 _QUIET = 1e-6
 """Responses below this share of the largest one count as not seen."""
@@ -57,6 +57,7 @@ def suggestions(
     inputs: Sequence[Channel],
     *,
     relative: float = 0.01,
+    highest: float | None = None,
     count: int = 5,
 ) -> tuple[Suggestion, ...]:
     r"""The sensors and bands that would narrow the parameters most, best first.
@@ -66,9 +67,12 @@ def suggestions(
     theta : array_like, shape (n_parameters,)
         Where to look: the estimate, or nominal values.
     bands, outputs, inputs
-        What is measured now; `inputs` stay as they are.
+        What is measured now; `inputs` stay as they are. A further sensor measures the quantity of the first output.
     relative : float
         Standard deviation of the error of every line, as a share of \|H\|, the same for all channels.
+    highest : float, optional
+        Hz up to which bands are proposed, such as the last line that the bench measures; by default half as far
+        again as the highest band.
     count : int
         Suggestions, at most.
 
@@ -86,9 +90,10 @@ def suggestions(
         raise ModelError("the model has no free parameter: there is nothing to learn about")
     ordered = check_bands(bands)
     measured = {c.dof.lstrip("+-") for c in outputs}
-    spare = [d for d in structure.dofs if d not in measured and d not in {c.dof for c in inputs if c.role != "base"}]
-    sensors = [_moved(outputs[0], d) for d in spare]
-    more = _free_bands(structure, values, ordered)
+    taken = measured | {c.dof for c in inputs if c.role != "base"}
+    sensors = [_moved(outputs[0], d) for d in structure.dofs if d not in taken and _turns(d) == _turns(outputs[0].dof)]
+    top = _REACH * max(b.high for b in ordered) if highest is None else highest
+    more = _free_bands(structure, values, ordered, top)
     now = _information(structure, values, ordered, outputs, inputs, relative)
     found = [
         _suggested("sensor", c.dof, now, now + _information(structure, values, ordered, [c], inputs, relative))
@@ -103,17 +108,21 @@ def suggestions(
     return tuple(s for s in best if s.gain > 1.01)[:count]
 
 
+def _turns(dof: str) -> bool:
+    """Whether a degree of freedom, "node:direction", is a rotation."""
+    return dof.partition(":")[2].lstrip("+-").startswith("r")
+
+
 def _moved(channel: Channel, dof: str) -> Channel:
     node, _, direction = dof.partition(":")
     return replace(channel, name=dof, node=node, direction=direction)
 
 
-def _free_bands(structure: Structure, theta: NDArray, bands: Sequence[Band]) -> list[Band]:
-    """Bands around natural frequencies that none of the bands holds."""
+def _free_bands(structure: Structure, theta: NDArray, bands: Sequence[Band], top: float) -> list[Band]:
+    """Bands around natural frequencies up to `top` Hz that none of the bands holds."""
     natural = np.asarray(modes(structure, theta).frequency)
-    top = _REACH * max(b.high for b in bands)
     held = band_mask(bands, natural)
-    return [Band(f * (1 - _WIDTH), f * (1 + _WIDTH)) for f in natural[~held] if 0 < f <= top]
+    return [Band(f * (1 - _WIDTH), f * (1 + _WIDTH)) for f in natural[~held] if 0 < f * (1 + _WIDTH) <= top]
 
 
 def _information(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.errors import EstimationError
+from labnnum.parameters import Parameter
 from labnnum.updating.covariance import confusions
 from labnnum.updating.modal_data import modal_data, model_modal_data
 from labnnum.updating.problem import Problem
@@ -68,10 +71,10 @@ def confused(problem: Problem, covariance: NDArray) -> list[str]:
     return out
 
 
-def at_bounds(problem: Problem, theta: NDArray) -> list[str]:
+def at_bounds(parameters: Sequence[Parameter], theta: NDArray) -> list[str]:
     """Parameters that stopped at a bound."""
     return [
         f"{p.name} ended at its bound {v:g} {p.unit}: widen it, or look for missing physics"
-        for p, v in zip(problem.structure.parameters, theta, strict=True)
+        for p, v in zip(parameters, theta, strict=True)
         if min(v - p.lower, p.upper - v) <= 1e-9 * (p.upper - p.lower)
     ]

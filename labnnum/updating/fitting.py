@@ -14,7 +14,8 @@ from scipy import linalg, optimize
 
 from labnnum.errors import EstimationError
 from labnnum.updating.gains import affordable_powers, fit_gains
-from labnnum.updating.network import KERNELS, RbfNetwork, kernel_values, squared_distances, tail_terms
+from labnnum.updating.kernels import KERNELS, kernel_values, squared_distances, tail_terms
+from labnnum.updating.network import RbfNetwork
 from labnnum.updating.regression import regress
 
 

@@ -33,12 +33,17 @@ def n_polynomials(outputs: int, powers: int) -> int:
 
 
 def polynomials(p: NDArray, powers: int) -> NDArray[np.float64]:
-    """T_a at rows p (n, n_outputs) within [-1, 1], shape (n, n_polynomials)."""
-    i, j = np.triu_indices(p.shape[1], 1)
-    series = [np.ones_like(p), p]
-    for _ in range(powers - 1):
-        series.append(2 * p * series[-1] - series[-2])
-    return np.hstack([np.ones((len(p), 1)), *series[1 : powers + 1], p[:, i] * p[:, j]])
+    """T_a at columns p (n_outputs, n) within [-1, 1], shape (n_polynomials, n)."""
+    m, n = p.shape
+    i, j = np.triu_indices(m, 1)
+    out = np.empty((n_polynomials(m, powers), n))
+    out[0], out[1 : 1 + m] = 1.0, p
+    for degree in range(2, powers + 1):
+        at = 1 + (degree - 1) * m
+        np.multiply(2 * p, out[at - m : at], out=out[at : at + m])
+        out[at : at + m] -= out[at - 2 * m : at - m] if degree > 2 else 1.0
+    np.multiply(p[i], p[j], out=out[1 + powers * m :])
+    return out
 
 
 def slopes(p: NDArray, powers: int) -> NDArray[np.float64]:
@@ -68,13 +73,24 @@ def powers_of(gains: NDArray, outputs: int) -> int:
     return (len(gains) - 1 - outputs * (outputs - 1) // 2) // outputs
 
 
-def second_answer(first: NDArray, z: NDArray, gains: NDArray, reach: NDArray) -> NDArray[np.float64]:
-    """Normalised answers, shape (n, n_outputs), from first answers (n, n_outputs) and inputs z (n, n_inputs)."""
-    p = np.clip(first / reach, -1, 1)
-    t = polynomials(p, powers_of(gains, p.shape[1]))
-    affine = np.hstack([np.ones((len(z), 1)), z])
-    wide = affine @ gains.transpose(1, 0, 2).reshape(affine.shape[1], -1)
-    return np.einsum("na,nao->no", t, wide.reshape(len(z), *gains.shape[::2]))
+def second_answer(
+    first: NDArray, affine: NDArray, stacked: NDArray, reach: NDArray, powers: int
+) -> NDArray[np.float64]:
+    """Normalised answers in columns, shape (n_outputs, n).
+
+    Parameters
+    ----------
+    first : ndarray, shape (n_outputs, n)
+        First answers.
+    affine : ndarray, shape (1 + n_inputs, n)
+        A one above the inputs z.
+    stacked : ndarray, shape (n_outputs n_polynomials, 1 + n_inputs)
+        Gains, outputs slowest.
+    reach : ndarray, shape (n_outputs,)
+    powers : int
+    """
+    t = polynomials(np.clip(first / reach[:, None], -1, 1), powers)
+    return np.einsum("oan,an->on", (stacked @ affine).reshape(len(first), *t.shape), t)
 
 
 def second_jacobian(
@@ -91,7 +107,7 @@ def second_jacobian(
     """
     p = np.clip(first / reach, -1, 1)
     powers = powers_of(gains, p.size)
-    t = polynomials(p[None], powers)[0]
+    t = polynomials(p[:, None], powers)[:, 0]
     inner = (np.abs(first) < reach) / reach
     affine = np.einsum("aio,i->ao", gains, np.append(1.0, z))
     through = affine.T @ (slopes(p, powers) * inner)
@@ -118,7 +134,7 @@ def fit_gains(
         return np.hstack([np.ones((len(z[part]), 1)), z[part]])
 
     def body(part: slice) -> NDArray:
-        t = polynomials(np.clip(first[part] / reach, -1, 1), powers)[:, 1:]
+        t = polynomials(np.clip(first[part] / reach, -1, 1).T, powers)[1:].T
         return (t[:, :, None] * head(part)[:, None, :]).reshape(len(t), -1)
 
     found = regress(head, body, targets)

@@ -69,15 +69,24 @@ class Novelty:
         )
 
 
-def feature_noise(frf: Frf, features: Features, copies: int = _COPIES, seed: int = 5) -> NDArray[np.float64]:
-    """Changes of the features under random errors of the FRF's own size, shape (copies, n_features).
+def feature_noise(
+    frf: Frf, features: Features, variance: NDArray | None = None, copies: int = _COPIES, seed: int = 5
+) -> NDArray[np.float64]:
+    """Changes of the features under random errors of an FRF, shape (copies, n_features).
 
-    Neighbouring lines share errors, which integrals feel: the errors are enlarged by the root of the integrated
-    correlation.
+    Parameters
+    ----------
+    frf : Frf
+    features : Features
+    variance : ndarray, shape (n_out, n_in, n_f), optional
+        E|dH|^2 of errors that are independent from line to line; by default the FRF's own errors. Neighbouring lines
+        share those, which integrals feel: they are enlarged by the root of the integrated correlation.
     """
-    noise = noise_of(frf)
+    if variance is None:
+        noise = noise_of(frf)
+        variance = noise.variance * noise.memory
     rng = np.random.default_rng(seed)
     normal = rng.standard_normal((2, copies, *frf.value.shape))
-    error = (normal[0] + 1j * normal[1]) * np.sqrt(noise.variance * noise.memory / 2)
+    error = (normal[0] + 1j * normal[1]) * np.sqrt(variance / 2)
     centre = features(frf.frequency, frf.value)
     return features(frf.frequency, frf.value + error) - centre

@@ -7,7 +7,6 @@ errors that lines share. `labnnum.updating.refine` does.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from labnnum.parameters import Estimate, bounds
 from labnnum.response import frf_sensitivity
 from labnnum.structures.base import Structure
 from labnnum.updating.covariance import stable_inverse
+from labnnum.updating.doubts import at_bounds
 from labnnum.updating.lsq import least_squares
 from labnnum.updating.modal_data import ModalData, modal_data, model_modal_data
 from labnnum.updating.noise import noise_of
@@ -244,10 +244,9 @@ def _estimate(
     structure: Structure, theta: NDArray, covariance: NDArray, method: str, converged: bool,
     warnings: tuple[str, ...] = (),
 ) -> Estimate:  # fmt: skip
-    found = Estimate(structure.parameters, theta, covariance, method, converged=converged, warnings=warnings)
-    if converged:
-        return found
-    return replace(found, warnings=(*warnings, f"{method} did not converge from the nominal parameters"))
+    late = () if converged else (f"{method} did not converge from the nominal parameters",)
+    warnings = (*warnings, *late, *at_bounds(structure.parameters, theta))
+    return Estimate(structure.parameters, theta, covariance, method, converged=converged, warnings=warnings)
 
 
 PEERS: dict[str, Callable[..., Estimate]] = {

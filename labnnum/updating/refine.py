@@ -233,7 +233,7 @@ def _fit_with_discrepancy(problem: Problem, start: NDArray, max_steps: int) -> F
     level = chi_square(frf.value - value, problem.noise, theta.size)[0]
     warnings = [doubts.roughness(found.level, found.line)]
     warnings += doubts.shifts(problem, theta)
-    warnings += [*doubts.confused(problem, covariance), *doubts.at_bounds(problem, theta)]
+    warnings += [*doubts.confused(problem, covariance), *doubts.at_bounds(problem.structure.parameters, theta)]
     warnings += [] if found.converged else [doubts.not_converged(found.steps)]
     estimate = Estimate(
         problem.structure.parameters, theta, covariance, "least squares, model error estimated", level,
@@ -251,7 +251,7 @@ def _summary(problem: Problem, found: Minimum) -> Fit:
     covariance = estimate_covariance(slope, problem.noise, problem.prior, problem.spread, leak)
     alone = estimate_covariance(slope, problem.noise, None, problem.spread, leak)
     warnings = [doubts.roughness()] if problem.noise.estimated else []
-    warnings += [*doubts.confused(problem, alone), *doubts.at_bounds(problem, theta)]
+    warnings += [*doubts.confused(problem, alone), *doubts.at_bounds(problem.structure.parameters, theta)]
     if problem.floor == 0.0 and is_misfit(level, scatter):
         widening = level * max(1.0, memory(difference, problem.noise) / problem.noise.memory)
         covariance = covariance * widening

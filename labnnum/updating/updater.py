@@ -22,6 +22,7 @@ from labnnum.updating.fitting import fit_printed, fit_tuned
 from labnnum.updating.kinds import make_features
 from labnnum.updating.matching import matched
 from labnnum.updating.network import RbfNetwork
+from labnnum.updating.noise import noise_of
 from labnnum.updating.novelty import Novelty, feature_noise
 from labnnum.updating.refine import refine
 from labnnum.updating.seen import view_like, view_settings
@@ -229,15 +230,29 @@ class Updater:
         theta = self.network(x)
         scatter = feature_noise(on_lines, self.features)
         slope = self.network.jacobian(x)
-        own = 0.0 if self._trained_with_noise else (slope @ scatter.T) @ (slope @ scatter.T).T / len(scatter)
+        own = self._beyond_training(slope, scatter, on_lines)
         expected, forward = self._expected(np.clip(theta, *self._box()), on_lines)
         flags = self.novelty.verdict(x - expected, scatter - (scatter @ slope.T) @ forward)
         found = Estimate(self.structure.parameters, theta, self.network.residual + own, "network")
         return replace(found, warnings=(*remarks, *flags, *self._outside(found)))
 
-    @property
-    def _trained_with_noise(self) -> bool:
-        return bool(self.settings.get("noise")) or bool(self.settings.get("noise_like_measured"))
+    def _beyond_training(self, slope: NDArray, scatter: NDArray, frf: Frf) -> NDArray[np.float64]:
+        """Covariance of the answer by the measurement's random error, less what the training noise already gave."""
+        spread = np.array([p.spread for p in self.structure.parameters])
+
+        def of(errors: NDArray) -> NDArray[np.float64]:
+            moved = (slope @ errors.T) / spread[:, None]
+            return moved @ moved.T / errors.shape[0]
+
+        if self.settings.get("noise"):
+            trained = (self.settings["noise"] * np.abs(frf.value)) ** 2
+        elif self.settings.get("noise_like_measured"):
+            trained = noise_of(frf).variance
+        else:
+            return of(scatter) * np.outer(spread, spread)
+        known = of(feature_noise(frf, self.features, trained))
+        power, vectors = np.linalg.eigh(of(scatter) - known)
+        return (vectors * np.maximum(power, 0.0)) @ vectors.T * np.outer(spread, spread)
 
     def _box(self) -> NDArray[np.float64]:
         """Range of the training parameters, shape (2, n_parameters)."""

@@ -32,6 +32,9 @@ def reproduce(
     samples: Annotated[int, typer.Option(help="Training samples of the networks trained with noise.")] = 30_000,
     large: Annotated[int, typer.Option(help="Samples of one more clean network on 800 centres; 0 leaves it out.")] = 0,
     nominal: Annotated[int, typer.Option(help="Sets that are refined from the nominal values as well.")] = 500,
+    lines: Annotated[
+        int, typer.Option(help="Lines in each band; 0 takes ours, 60: the dissertation does not print its own.")
+    ] = 0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same numbers.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON and nothing else.")] = False,
 ) -> None:
@@ -69,9 +72,11 @@ def reproduce(
             table = work(cases or number, seed, open_folder(output), say)
         typer.echo((output / f"{example}.json").read_text(encoding="utf-8") if as_json else table)
         return
+    if lines and lines < 8:
+        raise ConfigError("reproduce: --lines must be 0, or at least 8 in each band")
     names, cases = chosen(example), cases or 5000
     folder = open_folder(output)
-    effort = Effort(cases, noises, samples, large=large, nominal=min(nominal, cases), seed=seed)
+    effort = Effort(cases, noises, samples, large=large, nominal=min(nominal, cases), seed=seed, lines=lines)
     every = []
     for name in names:
         with _progress(name) as say:

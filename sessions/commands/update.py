@@ -73,7 +73,10 @@ def _advice(done: Update) -> list[dict]:
     from labnnum.updating.advice import suggestions
 
     bands = done.bands or (Band(float(done.frf.frequency[1]), float(done.frf.frequency[-1])),)
-    found = suggestions(done.structure, done.estimate.value, bands, done.frf.outputs, done.frf.inputs)
+    found = suggestions(
+        done.structure, done.estimate.value, bands, done.frf.outputs, done.frf.inputs,
+        highest=float(done.frf.frequency[-1]),
+    )  # fmt: skip
     names = [p.name for p in done.estimate.parameters]
     return [
         {"kind": s.kind, "what": s.what, "std_ratio": dict(zip(names, s.deviation.tolist(), strict=True))}
@@ -104,7 +107,7 @@ def _show(done: Update, as_json: bool, advice: list[dict] | None) -> None:
         where = f"sensor at {one['what']}" if one["kind"] == "sensor" else f"band from {one['what']}"
         typer.echo(f"a {where} would bring the standard deviation of {name} to {100 * ratio:.3g} %")
     if advice == []:
-        typer.echo("no further sensor or band would narrow the parameters by more than 1 %")
+        typer.echo("no further sensor, and no band that the FRF covers, would narrow the parameters by more than 1 %")
 
 
 def _plain(estimate: Estimate) -> dict:

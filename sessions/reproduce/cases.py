@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,8 @@ class Case:
     ----------
     name : str
     title : str
-    solver : callable
-        Makes what computes its FRFs.
+    make : callable
+        Makes what computes its FRFs on given lines (Hz).
     labels : sequence of str
         Output and input of every FRF, outputs slowest.
     bands : sequence of Band
@@ -53,7 +53,7 @@ class Case:
 
     name: str
     title: str
-    solver: Callable[[], ManyFrfs]
+    make: Callable[[NDArray[np.float64]], ManyFrfs]
     labels: tuple[str, ...]
     bands: tuple[Band, ...]
     frequency: NDArray[np.float64]
@@ -63,16 +63,27 @@ class Case:
     features: str = "log"
     noisy: str = "score"
 
+    def solver(self) -> ManyFrfs:
+        """What computes its FRFs."""
+        return self.make(self.frequency)
+
+    def with_lines(self, n: int) -> Case:
+        """The same with n lines in each band, ends included; as it is where n is 0."""
+        return replace(self, frequency=_in_bands(self.bands, n)) if n else self
+
+
+def _in_bands(bands: Sequence[Band], n: int) -> NDArray[np.float64]:
+    return np.unique(np.concatenate([np.linspace(b.low, b.high, n) for b in bands]))
+
 
 def of_example(
     name: str, title: str, e: Example, published: Published, where: str, features: str = "log", noisy: str = "score"
 ) -> Case:
     """The case of an example with a linear structure."""
-    lines = np.unique(np.concatenate([np.linspace(b.low, b.high, LINES) for b in e.bands]))
     labels = tuple(f"{o.name} / {i.name}" for o in e.outputs for i in e.inputs)
     return Case(
-        name, title, lambda: FrfBatch.of(e.structure, lines, e.outputs, e.inputs), labels, tuple(e.bands), lines,
-        e.samples, published, where, features, noisy,
+        name, title, lambda lines: FrfBatch.of(e.structure, lines, e.outputs, e.inputs), labels, tuple(e.bands),
+        _in_bands(e.bands, LINES), e.samples, published, where, features, noisy,
     )  # fmt: skip
 
 
@@ -96,7 +107,7 @@ def _duffing(scales: bool) -> Case:
     oscillator = Duffing(epsilon=0.1)
     hertz = (1 + 0.1 * np.linspace(-1.0, 2.5, LINES + 1)) / (2 * np.pi)
     bands = tuple(Band(float(hertz[a]), float(hertz[b])) for a, b in ((0, 20), (20, 40), (40, 60)))
-    make = (lambda: ScalesBatch(oscillator, hertz)) if scales else (lambda: SweepBatch(oscillator, hertz))
+    make = (lambda lines: ScalesBatch(oscillator, lines)) if scales else (lambda lines: SweepBatch(oscillator, lines))
     return Case(
         "duffing-scales" if scales else "duffing-balance",
         f"Duffing oscillator, {'multiple scales' if scales else 'harmonic balance'}",

@@ -6,6 +6,7 @@ actuator, whatever the controller does meanwhile:
 
     (Y1, Y2) = (G_P, G_u) [[P1, P2], [U1, U2]]    at every line
 
+The second experiment is the mean of the ones before and after the first: what drifts evenly is then the same in both.
 The network answers from G_P, least squares refine it, and a new regulator and observer take over.
 """
 
@@ -45,6 +46,9 @@ SENSOR = 3e-6
 FLOOR = 0.01
 """Relative error granted to the model's FRF: the truck moves on while it is measured."""
 
+MEASURED = 0.375
+"""Share of a block that has passed at the middle of its first half's measurement, the second of its four periods."""
+
 OMEGA = np.geomspace(2.0, 200.0, 1500)
 
 
@@ -57,7 +61,7 @@ class Block:
     end : float
         Seconds since the start.
     truth, estimate, std : ndarray, shape (n_parameters,)
-        Truth at the middle of the block.
+        Truth at the middle of what was measured, which is when the first half of the block was.
     fixed, adaptive : (decay in 1/s, modulus margin)
         Of the nominal gain and of the one in force after the block, on the truth at its end; the margin of an unstable
         loop is 0.
@@ -103,28 +107,30 @@ def drift(blocks: int, seed: int, say: Say, ratio: float = 1e-2, samples: int = 
     plant = _Plant(seed)
     nominal = gains(truck().nominal, w)
     g, out = nominal, []
+    before = [plant.run(nominal, -1.0, lambda _: truth_at(0.0)) for _ in range(2)][-1]
     for number in range(blocks):
-        halves = []
+        halves = [before]
         for half, sign in enumerate((1.0, -1.0)):
-            truth = partial(_truth_in, number, half, blocks)
-            plant.run(g, sign, truth)  # a period for the transient of the new gain, or of the new sign, to die out
-            halves.append(plant.run(g, sign, truth))
+            settling, measured = (partial(_truth_in, number, 2 * half + period, blocks) for period in (0, 1))
+            plant.run(g, sign, settling)  # for the transient of the new gain, or of the new sign, to die out
+            halves.append(plant.run(g, sign, measured))
+        before = halves[-1]
         found, std, warnings, latency = _updated(updater, halves)
         begin = time.perf_counter()
         g = gains(np.clip(found, *_reach()), w)
         latency["gains"] = time.perf_counter() - begin
         after = system(truth_at((number + 1) / blocks))
         out.append(Block(
-            (number + 1) * 4 * PERIOD, truth_at((number + 0.5) / blocks), found, std, _stability(after, nominal),
+            (number + 1) * 4 * PERIOD, truth_at((number + MEASURED) / blocks), found, std, _stability(after, nominal),
             _stability(after, g), latency, warnings,
         ))  # fmt: skip
         say("drifting", number + 1, blocks)
     return out
 
 
-def _truth_in(number: int, half: int, blocks: int, share: float) -> NDArray[np.float64]:
-    """The truth at a share of one half of a block."""
-    return truth_at((number + (half + share) / 2) / blocks)
+def _truth_in(number: int, period: int, blocks: int, share: float) -> NDArray[np.float64]:
+    """The truth at a share of one of the four periods of a block."""
+    return truth_at((number + (period + share) / 4) / blocks)
 
 
 def _reach() -> tuple[NDArray, NDArray]:
@@ -195,7 +201,7 @@ def _discrete(a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
 def _updated(
     updater: Updater, halves: list[tuple[NDArray, NDArray, NDArray]]
 ) -> tuple[NDArray, NDArray, tuple[str, ...], dict[str, float]]:
-    """Parameters from two experiments, with the seconds that each stage took."""
+    """Parameters from three experiments (-, +, -), with the seconds that each stage took."""
     marks = [time.perf_counter()]
     frf = _measured(updater, halves)
     marks.append(time.perf_counter())
@@ -211,11 +217,12 @@ def _measured(updater: Updater, halves: list[tuple[NDArray, NDArray, NDArray]]) 
     """FRF from the wheel, with the loop closed and forces held between samples."""
     lines = updater.frequency
     at = np.round(lines * PERIOD).astype(int)
-    p, u, y = (np.array([np.fft.rfft(half[k])[at] for half in halves]).T for k in range(3))
+    early, first, late = (np.array([np.fft.rfft(wave)[at] for wave in half]) for half in halves)
+    p, u, y = np.moveaxis(np.stack([first, (early + late) / 2]), 0, -1)
     inverse = np.linalg.inv(np.stack([p, u], axis=1))
     value = np.einsum("fk,fkj->fj", y, inverse)[:, 0]
     n = round(PERIOD * RATE)
-    variance = n * SENSOR**2 * (np.abs(inverse[:, :, 0]) ** 2).sum(axis=1)
+    variance = n * SENSOR**2 * (np.abs(inverse[:, :, 0]) ** 2 * (1.0, 0.5)).sum(axis=1)
     held = np.exp(-1j * np.pi * lines / RATE) * np.sinc(lines / RATE)  # what holding does to a force
     e = EXAMPLES["truck"]()
     return Frf(lines, (value / held)[None, None], e.outputs[:1], e.inputs,

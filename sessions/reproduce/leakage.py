@@ -1,8 +1,8 @@
 """Leakage: parameters from time records of the simulated bench, the model seen through the data's window and not.
 
 The truck stands on the bench, a random force at its wheel; the driver's seat is measured without any noise. H1 with a
-Hann window is taken with blocks of several lengths from one record, and the model is fitted to each. Every set has
-parameters of its own, drawn from their prior.
+Hann window is taken with blocks of several lengths from one record, and the model is fitted to each from its nominal
+parameters. Every set has parameters of its own, drawn from their prior.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def leakage(sets: int, seed: int, say: Say) -> dict[str, Any]:
             frf = estimated(recording, length)
             for how in (SEEN, EXACT):
                 view = "auto" if how == SEEN else None
-                found = refine(example.structure, frf, theta, bands=example.bands, view=view)
+                found = refine(example.structure, frf, bands=example.bands, view=view)
                 off = found.value - theta
                 error[length, how][i] = 100 * off / theta, off / found.std
         say("records", i + 1, sets)

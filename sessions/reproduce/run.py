@@ -40,7 +40,7 @@ def reproduce_case(name: str, effort: Effort, folder: Path, say: Say) -> dict[st
     if known is not None:
         return known
     done = study(
-        CASES[name](), effort, say, load_progress(folder, name, effort),
+        CASES[name]().with_lines(effort.lines), effort, say, load_progress(folder, name, effort),
         lambda found: save_progress(folder, name, effort, found),
     )  # fmt: skip
     found = summary(done)

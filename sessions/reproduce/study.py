@@ -25,6 +25,9 @@ FIRST = 20_000_000
 TRIES = (1.0,) * 6 + (0.3, 3.0, 10.0) * 10
 """Further starts of a set that noise does not explain: distances in units of the networks' disagreement."""
 
+NEAR = (0.5,) * 8 + (1.0,) * 8 + (2.0,) * 8
+"""Starts before those: distances from the network trained with noise, in its stated standard deviations."""
+
 NORMAL_90 = 1.6448536269514722
 
 
@@ -46,6 +49,8 @@ class Effort:
     nominal : int
         Sets that are refined from the nominal values too, to count failures; 0 leaves that out.
     seed : int
+    lines : int
+        Lines in each band; 0 takes the case's own.
     """
 
     sets: int = 5000
@@ -55,6 +60,7 @@ class Effort:
     large: int = 0
     nominal: int = 500
     seed: int = 0
+    lines: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,21 +214,33 @@ def _verify(
         if network.noise in (0.0, noise):
             answers[name] = network(case.frequency, value)
             found.add(f"{name}|{noise:g}", answers[name])
+    own = networks.get(noisy_name(noise))
+    stated = None if own is None else np.sqrt(np.diag(own.network.residual))
     refined = refine_from(
-        solver, value, starts(answers, noise, theta.shape[1]), explained(solver, noise), approach=True, reach=2.0
+        solver, value, starts(answers, noise, stated), explained(solver, noise), approach=True, reach=2.0
     )
     found.add(f"refined|{noise:g}", refined.value)
     found.add(f"bound|{noise:g}", bound_deviations(solver, theta, max(noise, 1e-9)))
     found.add(f"std|{noise:g}", bound_deviations(solver, refined.value, max(noise, 1e-9)))
 
 
-def starts(answers: dict[str, NDArray], noise: float, n: int) -> list[NDArray]:
-    """Starts of the refinement, most trusted first: the networks, then points scattered as far as they disagree."""
+def starts(answers: dict[str, NDArray], noise: float, stated: NDArray | None = None) -> list[NDArray]:
+    """Starts of the refinement, most trusted first: the networks, then points scattered about them.
+
+    Parameters
+    ----------
+    answers : dict of method -> ndarray, shape (n, n_parameters)
+    noise : float
+    stated : ndarray, shape (n_parameters,), optional
+        Standard deviations that the network trained with this noise states: points about its answer are as far apart.
+        Further points stand as far from the network without noise as the networks disagree.
+    """
     own = noisy_name(noise)
     first = [answers[k] for k in ([own] if own in answers else []) + ["large network", "network"] if k in answers]
+    rng, n = np.random.default_rng(17), first[0].shape[1]
+    near = [] if stated is None else [first[0] + stated * d * rng.standard_normal(n) for d in NEAR]
     apart = np.maximum(np.abs(first[0] - first[-1]), 1e-4 * np.abs(first[-1]))
-    scatter = np.random.default_rng(17).standard_normal((len(TRIES), n)) * np.array(TRIES)[:, None]
-    return [*first, *(first[-1] + apart * s for s in scatter)]
+    return [*first, *near, *(first[-1] + apart * d * rng.standard_normal(n) for d in TRIES)]
 
 
 def explained(solver: ManyFrfs, noise: float) -> float:

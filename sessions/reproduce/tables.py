@@ -60,7 +60,7 @@ def text_table(found: dict[str, Any]) -> str:
         f"{found['title']} ({found['where']}): e_avg / e_max in % over {found['sets']} sets,"
         f" {found['samples']} training samples",
         f"gamma of the network as printed {found['gamma']:.3g}; trained with noise: {effort['noisy_samples']} samples"
-        f" on {effort['centres']} centres",
+        f" on {effort['centres']} centres" + (f"; {effort['lines']} lines in each band" if effort["lines"] else ""),
     ]
     for at in found["noise"]:
         methods = columns(at)

@@ -5,6 +5,7 @@ import pytest
 
 from labnnum.bands import Band
 from labnnum.errors import ModelError
+from labnnum.response import modes
 from labnnum.structures.chain import GROUND, Chain, Link
 from labnnum.structures.examples import EXAMPLES, force_at, motion_of
 from labnnum.updating.advice import suggestions
@@ -48,6 +49,22 @@ def test_suggestions_are_ranked_and_few():
     score = [np.log(s.deviation).sum() for s in found]
     assert score == sorted(score)
     assert all(s.gain > 1 for s in found)
+
+
+def test_bands_are_proposed_as_high_as_the_bench_measures():
+    low = (Band(0.2, 0.6),)
+    natural = modes(STRUCTURE, STRUCTURE.nominal).frequency
+    for highest, expected in ((float(natural[0]), 0), (1.06 * natural[1], 2), (100.0, 3)):
+        found = suggestions(STRUCTURE, STRUCTURE.nominal, low, OUTPUTS, INPUTS, highest=highest, count=9)
+        assert sum(s.kind == "band" for s in found) == expected
+
+
+def test_on_a_driven_beam_only_places_that_such_a_sensor_measures_are_proposed():
+    e = EXAMPLES["beam"]()
+    found = suggestions(e.structure, e.structure.nominal, e.bands, e.outputs, e.inputs, count=20)
+    sensors = [s.what for s in found if s.kind == "sensor"]
+    assert sensors
+    assert all(s.endswith(":z") for s in sensors)
 
 
 def test_without_parameters_there_is_nothing_to_learn():

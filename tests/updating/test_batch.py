@@ -8,8 +8,9 @@ from labnnum.structures.chain import Chain, Link
 from labnnum.structures.examples import EXAMPLES, force_at, motion_of
 from labnnum.structures.quantities import modal, structural
 from labnnum.structures.section import Section
-from labnnum.updating.batch import EliminationEngine, FrfBatch, ModalEngine
+from labnnum.updating.batch import FrfBatch
 from labnnum.updating.elimination import Elimination
+from labnnum.updating.engines import EliminationEngine, ModalEngine
 from labnnum.updating.family import MatrixFamily
 
 ENGINES = {name: ModalEngine if name == "frame" else EliminationEngine for name in EXAMPLES}

@@ -12,7 +12,8 @@ from labnnum.updating.fitting import (
     gamma_gradient,
     principal_components,
 )
-from labnnum.updating.network import KERNELS, RbfNetwork, squared_distances, tail_terms
+from labnnum.updating.kernels import KERNELS, squared_distances, tail_terms
+from labnnum.updating.network import RbfNetwork
 
 RNG = np.random.default_rng(3)
 X = RNG.random((90, 4))

@@ -56,6 +56,16 @@ def test_underdetermined_penalty_changes_little_and_says_so():
     assert any("2 measured poles' values for 5 parameters" in w for w in estimate.warnings)
 
 
+def test_a_parameter_that_stops_at_its_bound_is_named():
+    theta = STRUCTURE.nominal.copy()
+    free = STRUCTURE.parameters[1]
+    theta[1] = free.upper + 0.05 * (free.upper - free.lower)
+    frf = measured(STRUCTURE, theta, LINES, OUTPUTS, INPUTS, relative=1e-3)
+    estimate = output_error(STRUCTURE, frf, bands=BANDS)
+    assert estimate.value[1] == free.upper
+    assert any(w.startswith(f"{free.name} ended at its bound") for w in estimate.warnings)
+
+
 def test_what_is_refused():
     example = EXAMPLES["beam"]()
     lines = np.linspace(10.0, 700.0, 400)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labnnum.updating.network import kernel_values, squared_distances, tail_terms
+from labnnum.updating.kernels import kernel_values, squared_distances, tail_terms
 from labnnum.updating.regression import regress
 
 

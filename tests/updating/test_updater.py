@@ -46,6 +46,22 @@ def test_errors_have_the_size_that_is_stated(updater, refined):
     assert (spread < 1.3).all()
 
 
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_a_network_trained_with_less_noise_than_is_measured_says_so_in_its_deviations(noise):
+    trained = Updater.train(
+        STRUCTURE, BANDS, OUTPUTS, INPUTS, LINES, samples=1500, centres=200, noise=0.005, features="score"
+    )
+    standardised = []
+    for i, theta in enumerate(truths(STRUCTURE, 60, seed=2)):
+        frf = measured(STRUCTURE, theta, LINES, OUTPUTS, INPUTS, relative=noise, seed=i)
+        estimate = trained.network_estimate(frf)
+        standardised.append((estimate.value - theta) / estimate.std)
+    spread = np.sqrt(np.mean(np.square(standardised), axis=0))
+    assert (spread < 1.3).all()
+    assert (spread > 0.2).all()
+    assert (estimate.std >= (1 - 1e-9) * np.sqrt(np.diag(trained.network.residual))).all()
+
+
 @pytest.mark.parametrize("factor", [0.75, 1.25])
 def test_parameters_outside_the_training_are_flagged(updater, factor):
     theta = STRUCTURE.nominal
