@@ -96,7 +96,7 @@ class NonlinearAnswer:
 def answer(
     engine: Engine, train: Sequence[Observation], test: Sequence[Observation], places: Places, scatter: Scatter,
     limits: Limits, span: tuple[float, float], progress: Callable[[str], None] = lambda text: None,
-    others: Sequence[Observation] = (), known: Sequence[Lead] = (), nearly: float = 0.0,
+    others: Sequence[Observation] = (), known: Sequence[Lead] = (), nearly: float = 0.0, doubted: int | None = None,
 ) -> NonlinearAnswer | None:  # fmt: skip
     """What nonlinear physics the observations show; None where they show none.
 
@@ -114,6 +114,8 @@ def answer(
         Part of the base's held-out error to which a law must bring it down for its misfit to be excused, of a model
         that was identified and misses its own data; 0 for others, which have `NEARLY`. The place of such a model is
         told by the time at which distortion comes, where that tells.
+    doubted : int, optional
+        Number of a response of periodic runs that is left out.
     """
     train = sorted((o for o in train if o.run is not None), key=lambda o: o.level)
     test = sorted((o for o in test if o.run is not None), key=lambda o: o.level)
@@ -152,8 +154,12 @@ def answer(
 
     seen = explore(engine, point, runs, i, every, scatter, progress=progress)
     believed: tuple[Observation, ...] = ()
-    lying = suspect(train, seen, exploring) if not (whole or nearly) else None
-    if lying is not None and seen is not None:
+    if doubted is not None:
+        again = exploring([without(o, doubted) for o in train])
+        lying = None if again is None else (doubted, again)
+    else:
+        lying = suspect(train, seen, exploring) if not (whole or nearly) else None
+    if lying is not None and seen is not None and doubted is None:
         whole_again = back(seen, lying[1])
         if whole_again is not None:  # it was the way to the law that was hard to find, not the channel that lied
             seen, lying = whole_again, None

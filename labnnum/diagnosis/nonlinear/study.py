@@ -185,7 +185,7 @@ def explore(
         Number of the one that distorts least.
     spots : sequence of Spot
     carry_on : bool
-        Whether what came near after a few steps is followed to the end.
+        Whether all that came near after a few steps is followed to the end, or the nearest two only.
     """
     bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
     alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
@@ -292,8 +292,10 @@ def followed(
         made = [bench.follow(x, lead, QUICK) for x in starts]
         first += sorted((t for t in made if t is not None), key=lambda t: t.cost)[:1]
     first.sort(key=lambda t: t.cost)
-    if not first or not carry_on:
-        return first
+    if not first:
+        return []
+    if not carry_on:
+        return sorted([*(bench.follow_on(t, LONG) for t in first[:2]), *first[2:]], key=lambda t: t.cost)
     limit = NEAR * first[0].cost
     done = [bench.follow_on(t, LONG) if t.cost < limit else t for t in first]
     done.sort(key=lambda t: t.cost)

@@ -18,9 +18,9 @@ from labnnum.diagnosis.observe import Observation
 
 POOR = 3.0
 """Chi-square per value that the best law leaves along the recovered motion above which a channel is suspected."""
-TELLING = 0.3
+TELLING = 0.5
 """Part of that to which the others must bring it down without the channel, counted on the others alone."""
-AS_WELL = 3.0
+AS_WELL = 1.5
 """Chi-square per value with the channel, of that without it, up to which the channel is believed after all."""
 FEW = 80
 """Lines of a run on which channels are suspected."""
@@ -84,7 +84,10 @@ def suspect(
 def back(whole: Prospect, found: Prospect, most: int = 3) -> Prospect | None:
     """What was found without a channel followed with it, if it explains that channel as well; else None."""
     near = _again(whole.bench, found, most)
-    if not near or near[0].made.data_part > max(POOR, AS_WELL * found.level) * near[0].made.count:
+    alone = _again(found.bench, found, 1)
+    n_out = whole.bench.runs[0].y.shape[0]
+    level = (alone[0].made.data_part / alone[0].made.count if alone else found.level) * n_out / (n_out - 1)
+    if not near or near[0].made.data_part > max(POOR, AS_WELL * level) * near[0].made.count:
         return None
     return replace(whole, near=tuple(near), recovered=found.recovered)
 
