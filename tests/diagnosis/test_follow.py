@@ -67,7 +67,7 @@ def test_a_free_body_held_by_its_law_alone_settles():
     base = Base(engine, engine.start(), column[:, None], 2 * np.pi * np.arange(PERIOD // 2 + 1) * RATE / PERIOD)
     spectrum = multisine(5.0, 3)
     none = np.zeros((3, PERIOD // 2 + 1))
-    run = Run(RATE, PERIOD, spectrum, none + 0j, none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
+    run = Run(RATE, PERIOD, spectrum, none.astype(complex), none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
     solver = Steady(run, np.array([CODES["stick-slip"]]), 4)
     parameters = np.zeros((1, 10))
     parameters[0, : len(p)] = p

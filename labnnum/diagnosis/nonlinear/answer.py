@@ -168,7 +168,7 @@ def answer(
         believed = (*train, *test)
         train, test = ([without(o, lying[0]) for o in part] for part in (train, test))
         seen = finer(lying[1])
-    found = None if seen is None else search(seen, progress)
+    found = None if seen is None else search(seen, progress, unsure=nearly > 0)
     if found is None:
         return None
     progress("comparing places and laws")

@@ -115,6 +115,15 @@ class Bench:
         joint = self.joint([of_fit(one)])
         return _tried(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
 
+    def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int) -> Tried | None:
+        """A law fitted by simulation from what the recovered motion promised, from several base vectors."""
+        joint = self.joint([lead])
+        begin = [joint.start(x) for x in starts]
+        if lead.mechanism == "stick-slip":
+            begin.append(joint.start(softened(joint, starts[0], lead)))
+        made = [_tried(joint, x, [None] * len(self.runs), lead, steps) for x in begin]
+        return min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
+
     def carry_on(self, one: Tried, steps: int, *, always: bool = False) -> Tried:
         """A simulated fit carried on, on other lines perhaps."""
         joint = Joint(self.engine, self.point, self.runs, one.made.terms, self.scatter, self.lines)
@@ -129,6 +138,20 @@ def _tried(
     except (EstimationError, np.linalg.LinAlgError):
         return None
     return Tried(lead, made, cost(made, lead.mechanism), simulated)
+
+
+def softened(joint: Joint, x: NDArray, lead: Lead) -> NDArray[np.float64]:
+    """The base without the spring of a slider that sticks at low levels, to first order: that spring it holds twice."""
+    n, b = joint.engine.theta0.size, joint.engine.band_modes
+    r = next(iter(joint.receptances(joint.start(x)).values()))
+    out = x.copy()
+    less = 0.5 * lead.p[0] * r.w[0, b] ** 2 / r.omega[b] ** 2
+    out[n : n + b.size] -= np.minimum(less, SOFTER)
+    return out
+
+
+SOFTER = 0.05
+"""Fall of a frequency at most when a base is set free of what sticks."""
 
 
 def of_fit(one: Tried) -> Lead:
@@ -164,6 +187,7 @@ class Prospect:
     base: Made
     recovered: tuple[Recovered, ...]
     near: tuple[Tried, ...]
+    leads: tuple[Lead, ...] = ()
 
     @property
     def level(self) -> float:
@@ -204,14 +228,30 @@ def explore(
         again = followed(bench, (nominal,), leads, carry_on) if leads else []
         if again and (not near or again[0].cost < near[0].cost):
             near, found = sorted([*again, *near], key=lambda t: t.cost), other
-    return Prospect(bench, calm, base, tuple(found), tuple(near)) if near else None
+    return Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads)) if near else None
 
 
-def search(seen: Prospect, progress: Callable[[str], None] = lambda text: None) -> Study | None:
-    """The laws that came nearest along the recovered motion, fitted by simulation; a general law beside them."""
+PROMISING = 0.85
+"""Part of the best lead's gain above which another is simulated from where it stands."""
+
+
+def search(
+    seen: Prospect, progress: Callable[[str], None] = lambda text: None, *, unsure: bool = False
+) -> Study | None:  # fmt: skip
+    """The laws that came nearest along the recovered motion, fitted by simulation; a general law beside them.
+
+    Where the base is `unsure` of motions that no sensor sees, as one that was identified is, so is what is recovered
+    through it: the best leads are then simulated from where the score left them, too.
+    """
     progress("fitting nonlinear laws")
     bench = seen.bench
     tried = simulated(bench, seen.near)
+    if unsure and seen.leads:
+        top = max(lead.gain for lead in seen.leads)
+        some = [lead for lead in seen.leads if lead.gain > PROMISING * top and lead.mechanism != "hysteresis"]
+        starts = (seen.calm.x, engine_start(bench.joint([])))
+        straight = [bench.direct(starts, lead, LONG) for lead in sorted(some, key=lambda lead: -lead.gain)[:FRONT]]
+        tried = sorted([*tried, *(t for t in straight if t is not None)], key=lambda t: t.cost)
     if not tried:
         return None
     best = tried[0].made
