@@ -294,6 +294,8 @@ def _decide(
         reason = USELESS
     if not reason and extended_error[1] > GAINS * base_error[1]:
         reason = USELESS
+    if not reason and len({(t.mechanism, t.spot.place) for t in laws if t.mechanism in MECHANISMS}) > MOST:
+        reason = "it takes more than two named laws, which may stand for one that has no name"
     named = () if reason else _all_named(laws, best, rivals)
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):
@@ -331,6 +333,8 @@ def _level_of(base: Made, other: Tried) -> float:
     return base.objective * other.made.count / base.count
 
 
+MOST = 2
+"""Different laws, or places, that are named together."""
 LITTLE = 0.3
 """Part of the base's objective above which a fit that has no name says nothing of the place."""
 MISFIT = 3.0
