@@ -163,7 +163,7 @@ class Steady:
         self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = 3e-4, warm: int = 0
     ) -> Orbit:
         """Newton's method from `orbit` to the steady state with laws' parameters p (k, N_P), after `warm` periods."""
-        orbit = self._own_steps(orbit)
+        orbit = self._own_steps(r, orbit)
         if not self.run.lasting:
             return self._passes(r, p, orbit, tolerance)
         made = self.prepare(r)
@@ -211,8 +211,11 @@ class Steady:
             last = closing
         return orbit
 
-    def _own_steps(self, orbit: Orbit) -> Orbit:
-        """The orbit on this march's steps, where it came from one with others."""
+    def _own_steps(self, r: Receptance, orbit: Orbit) -> Orbit:
+        """The orbit on this march's steps and modes, where it came from one with others."""
+        made = self.prepare(r)
+        if orbit.x.shape[1] != made.w.shape[1]:  # a mode has moved out of those that are marched, or into them
+            orbit = replace(orbit, x=self.state_of(r, made, orbit.force), closing=np.inf, inverse=None, floquet=None)
         if orbit.time.shape[0] == self.n:
             return orbit
         time = np.ascontiguousarray(np.moveaxis(self.to_time(orbit.force), -1, 0))
