@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     pass
 from labnnum.diagnosis.prediction import errors_of, predicted, relative_error, trimmed
 from labnnum.diagnosis.runs import nonlinear_signs
-from labnnum.diagnosis.worth import alarmed, improves, missing, one_law, worthwhile
+from labnnum.diagnosis.worth import alarmed, improves, missing, one_law, spoilt, worthwhile
 
 
 def same_answer(a: Term, b: Term) -> bool:
@@ -127,6 +127,8 @@ def _verdict(
 ) -> tuple[str, tuple[Named, ...], str]:
     base, final = selection.chain[0], selection.chain[-1]
     if len(selection.chain) == 1:
+        if spoilt(selection, limits, data):
+            return "unexplained", (), "one channel or support that does something else explains what the model leaves"
         return "consistent", (), "no term gains more than a sound structure's scatter"
     stage, best = selection.stages[0], selection.chain[1]
     excess = dispersion(best.fit, data)
@@ -182,10 +184,11 @@ def _named(made: Fit, i: int, confidence: float) -> Named:
 
 
 def _best_place(selection: Selection) -> Place | None:
-    law = selection.general
+    base, law = selection.chain[0], selection.general
     if len(selection.chain) < 2:
-        found = _located(selection)
-        return found[0][0] if found else None
+        if law is not None and law.cost < base.cost:
+            return law.last.place
+        return next((place for place, _ in _located(selection)), None)
     best = selection.chain[1]
     if law is not None and law.cost < best.cost:
         return law.last.place
@@ -210,7 +213,7 @@ def _alternatives(
         if any(same_answer(c.last, n.term) for n in named) or any(same_answer(c.last, a.term) for a in out):
             continue
         gap = c.cost - best.cost
-        error = relative_error(test.value, predicted(engine, c.fit, test))
+        error = relative_error(test, predicted(engine, c.fit, test))
         if gap < limits.name:
             why = f"explains the data as well as {best.last.mechanism.id} at {best.last.place} (chi-square + {gap:.1f})"
         else:

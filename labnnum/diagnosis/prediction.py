@@ -13,23 +13,46 @@ from labnnum.diagnosis.fit import Fit, Scatter, fit
 from labnnum.diagnosis.linear import data_of
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import broaden
-from labnnum.frf import Frf
+from labnnum.frf import MOTION_ORDER, Frf
 from labnnum.mechanisms.base import Term
 
 if TYPE_CHECKING:
     pass
 
 
-def relative_error(measured: NDArray, model: NDArray) -> float:
-    """Relative RMS error over lines, root mean square over rows."""
-    m = measured.reshape(-1, measured.shape[-1])
-    e = (measured - model).reshape(m.shape)
-    return float(np.sqrt(np.mean(np.sum(np.abs(e) ** 2, axis=1) / np.sum(np.abs(m) ** 2, axis=1))))
+NODAL = 0.3
+"""A response smaller than this part of what like sensors read is one beside a node: its error counts as theirs."""
+
+
+def relative_error(measured: Frf, model: NDArray) -> float:
+    """Relative RMS error over lines, root mean square over rows.
+
+    A row's error is taken relative to its response, or to `NODAL` times the mean response of the sensors of its kind
+    where that is more: a sensor beside a node of the modes reads little else than the model's ordinary errors.
+    """
+    e = np.sum(np.abs(measured.value - model) ** 2, axis=2)
+    return float(np.sqrt(np.mean(e / _sizes(measured))))
+
+
+def _sizes(frf: Frf) -> NDArray[np.float64]:
+    """What each row's squared error is relative to, (n_out, n_in)."""
+    turns = np.array([c.direction.lstrip("-").startswith("r") for c in frf.outputs])
+    rise = np.array([MOTION_ORDER[c.quantity] for c in frf.outputs])
+    weight = (2 * np.pi * frf.frequency) ** (2.0 * (2 - rise))[:, None]  # everything as acceleration
+    own = np.sum(np.abs(frf.value) ** 2, axis=2)
+    motion = np.sum(np.abs(frf.value) ** 2 * weight[:, None], axis=2)
+    out = np.empty_like(own)
+    for kind in (False, True):
+        alike = turns == kind
+        if alike.any():
+            share = motion[alike] / np.maximum(motion[alike].mean(axis=0), 1e-300)
+            out[alike] = own[alike] * np.maximum(1.0, NODAL**2 / np.maximum(share, 1e-30))
+    return out
 
 
 def errors_of(engine: Engine, made: Fit, train: Frf, test: Frf) -> tuple[float, float]:
     """Relative errors of a fitted model on the training and on the held-out FRFs."""
-    return tuple(relative_error(f.value, predicted(engine, made, f)) for f in (train, test))  # type: ignore[return-value]
+    return tuple(relative_error(f, predicted(engine, made, f)) for f in (train, test))  # type: ignore[return-value]
 
 
 def predicted(engine: Engine, made: Fit, frf: Frf) -> NDArray[np.complex128]:
@@ -81,7 +104,7 @@ def trimmed(engine: Engine, frf: Frf, made: Fit, scatter: Scatter) -> Fit:
         for kappa in (0.015, 0.004):
             rough = fit(engine, broaden(engine, data, start, terms, kappa), terms, use, rough, steps=8).point.vector()
         found += [fit(engine, data, terms, use, x, steps=25) for x in (start.vector(), rough)]
-    return min(found, key=lambda f: relative_error(frf.value, predicted(engine, f, frf)))
+    return min(found, key=lambda f: relative_error(frf, predicted(engine, f, frf)))
 
 
 def _within(point: Point, use: Scatter) -> Point:

@@ -130,4 +130,18 @@ def missing(
     law = selection.general
     if law is None:
         return False
+    if not law.last.groups:
+        return spoilt(selection, limits, data)
     return errors_of(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1] < limits.doubt * base_error[1]
+
+
+def spoilt(selection: Selection, limits: Limits, data: Data) -> bool:
+    """Whether a channel or a support that may do anything takes away a good part of what the base leaves.
+
+    Such a law foretells nothing, so that held-out data cannot judge it; what it is worth shows in the objective, from
+    which its own price has been taken off.
+    """
+    base, law = selection.chain[0], selection.general
+    if law is None or law.last.groups or law.cost > limits.doubt * base.cost:
+        return False
+    return (base.cost - law.cost) / max(dispersion(law.fit, data), 1.0) > limits.alarm
