@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Fit, Scatter, fit
-from labnnum.diagnosis.linear import data_of
+from labnnum.diagnosis.fit import Fit, Problem, Scatter, fit
+from labnnum.diagnosis.linear import choose_lines, data_of
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import broaden
 from labnnum.frf import MOTION_ORDER, Frf
@@ -53,6 +53,19 @@ def _sizes(frf: Frf) -> NDArray[np.float64]:
 def errors_of(engine: Engine, made: Fit, train: Frf, test: Frf) -> tuple[float, float]:
     """Relative errors of a fitted model on the training and on the held-out FRFs."""
     return tuple(relative_error(f, predicted(engine, made, f)) for f in (train, test))  # type: ignore[return-value]
+
+
+def foretold(engine: Engine, made: Fit, test: Frf, scatter: Scatter) -> float:
+    """Chi-square of held-out FRFs under a fitted model, its ordinary errors of shapes and gains marginalised.
+
+    It is the predictive score of the model as it stands: what shapes and gains of a sound bench scatter by counts for
+    nothing, and a fault of one row among many, or of a few lines, is not lost in their errors. NaN where the held-out
+    channels are not those of the fit.
+    """
+    if [c.name for c in (*test.outputs, *test.inputs)] != [c.name for c in (*engine.outputs, *engine.inputs)]:
+        return float("nan")
+    problem = Problem(engine, data_of(choose_lines(test), scatter), made.terms, scatter)
+    return problem.marginal(made.point.vector())
 
 
 def predicted(engine: Engine, made: Fit, frf: Frf) -> NDArray[np.complex128]:
