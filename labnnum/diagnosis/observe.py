@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.hits import without_offset
 from labnnum.diagnosis.nonlinear.run import Run, run_of
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.frf import Frf
@@ -257,8 +258,7 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     first = recordings[0]
     pieces = [r.data[:, a:b] for r in recordings for a, b in r.spans()]
     n = min(p.shape[1] for p in pieces)
-    x = np.stack([p[:, :n] for p in pieces])
-    x = x - np.median(x[:, :, -max(n // 10, 1) :], axis=2, keepdims=True)
+    x = np.stack([without_offset(p[:, :n], first.inputs[0]) for p in pieces])
     decay = np.log(100.0) * first.rate / n
     spectra = np.fft.rfft(x * np.exp(-decay * np.arange(n) / first.rate), axis=2) / first.rate
     u, y = spectra[:, first.inputs[0]], spectra[:, list(first.outputs)]
