@@ -292,6 +292,11 @@ class Problem:
         resp = self.engine.response(self.start.with_vector(x), self.terms, self.data.s)
         return self._reduce(self._rows(self.data.value - resp.value), like.nuisance)[0] + self._price(x)
 
+    def marginal(self, x: NDArray) -> float:
+        """Whitened squares at `x` with what is marginalised taken off at its price; nothing for `x` itself."""
+        r, b, _ = self._parts(x, jacobian=False)
+        return self._reduce(r, b)[0]
+
     def _price(self, x: NDArray) -> float:
         return float(np.sum(((x - self.mean) / self.std) ** 2))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
 from labnnum.diagnosis.point import Point
-from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, thin
+from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, subspace_score, thin
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
@@ -258,13 +258,37 @@ def settled(made: Fit, data: Data, limits: Limits) -> bool:
 def _unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candidate) -> list[Candidate]:
     """The best unnamed laws, best first: smooth local ones, loose ones, and pairs where nothing else is enough."""
     plain = replace(task, counts={})
-    found = _stage(plain, [t for t in general if t.width == 1], base, 4)[:2]
+    single, pairs = ([t for t in general if t.width == k] for k in (1, 2))
+    found = _stage(plain, single, base, 4)[:2]
     found += _loosened(plain, [t for t in general if t.width == 0], base)
-    best = min([*found, named], key=lambda c: c.cost)
-    pairs = [t for t in general if t.width == 2]
-    if pairs and not settled(best.fit, task.data, task.limits):
-        found += _stage(plain, pairs, base, 4)[:2]
+
+    def enough() -> bool:
+        best = min([*found, named], key=lambda c: c.cost)
+        return settled(best.fit, task.data, task.limits)
+
+    if not enough():
+        found += _surveyed(plain, single, base, 2)
+    if pairs and not enough():
+        found += [*_surveyed(plain, pairs, base), *_stage(plain, pairs, base, 4)[:2]]
     return sorted(found, key=lambda c: c.cost)
+
+
+def _surveyed(task: Task, laws: Sequence[Term], base: Candidate, each: int = 3, n: int = 2) -> list[Candidate]:
+    """Laws of many coefficients, best first: those whose coefficients together promise most, rung by rung, fitted."""
+    x = base.fit.point.vector()
+    nominal = _afresh(task.engine, base).vector()
+    levels = [(0, task.ladder[0], nominal), (1, task.ladder[1], x), (2, task.ladder[2], x), (None, task.coarse, x)]
+    race = _Race(task, base)
+    for rung, level, at in levels:
+        leads = subspace_score(task.engine, level, task.scatter, laws, at, base.terms)
+        for lead in sorted(leads, key=lambda lead: -lead.gain)[:each]:
+            race.enter(lead, rung)
+    best: dict[int, Candidate] = {}
+    for c in race.found:
+        if id(c.last) not in best or c.cost < best[id(c.last)].cost:
+            best[id(c.last)] = c
+    ahead = sorted(best.values(), key=lambda c: c.cost)[:n]
+    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
 def _loosened(task: Task, loose: Sequence[Term], base: Candidate, n: int = 2) -> list[Candidate]:

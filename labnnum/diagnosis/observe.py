@@ -227,8 +227,10 @@ def _distortion(
         out[name] = 10 * np.log10(np.maximum(power / signal, 1e-30))
         if n_periods > 1:
             each = spectra[:, outputs] - y
-            noise = np.mean(np.abs(each[:, :, where]) ** 2, axis=(0, 2)) / (n_periods - 1)
+            error = (each - through * (spectra[:, inputs[0]] - u)[:, None])[:, :, where]
+            noise = np.mean(np.abs(error) ** 2, axis=(0, 2)) / (n_periods - 1)
             out[name + "_over_noise"] = 10 * np.log10(np.maximum(power, 1e-300) / np.maximum(noise, 1e-300))
+            noise = np.mean(np.abs(each[:, :, where]) ** 2, axis=(0, 2)) / (n_periods - 1)
             raw = np.mean(np.abs(y[:, where]) ** 2, axis=1)
             out[name + "_raw_over_noise"] = 10 * np.log10(np.maximum(raw, 1e-300) / np.maximum(noise, 1e-300))
             of_input = np.mean(np.abs(u[where]) ** 2) / max(float(np.mean(noise_u[where])), 1e-300)

@@ -84,6 +84,19 @@ class Profile:
         step = np.where(ok, along / np.where(ok, size, 1.0), 0.0)
         return np.where(ok, along * step, 0.0), step
 
+    def joint_gain(self, directions: NDArray) -> float:
+        """Gain of the best step in the space of the directions (rows, n, 2 f)."""
+        free, g = self.project(directions)
+        g = g / self.scale
+        _, g0 = self.project(self.r[:, None])
+        g0 = (g0[0] + self.pull) / self.scale
+        a = np.einsum("rnf,rmf->nm", directions, free, optimize=True) - g @ self.a_inverse @ g.T
+        along = np.einsum("rf,rnf->n", self.r, free) - g @ self.a_inverse @ g0
+        size = np.sqrt(np.maximum(np.einsum("rnf,rnf->n", directions, directions), 1e-300))
+        value, vector = np.linalg.eigh(a / np.outer(size, size))
+        seen = value > 1e-9 * max(float(value[-1]), 1e-300)
+        return float(np.sum((vector.T @ (along / size))[seen] ** 2 / value[seen]))
+
 
 def broaden(engine: Engine, data: Data, point: Point, terms: Sequence[Term], kappa: float, n: int = 120) -> Data:
     """The data with every resonance broadened to a relative half-width `kappa`, on `n` logarithmic lines.
@@ -186,6 +199,27 @@ def direction_score(
             first = term.parameters[0]
             start[0] = np.clip(start[0] * min(max(step[best], 1e-3), 3.0), first.lower, first.upper)
         leads.append(Lead(term, start, float(gain[best])))
+    return leads
+
+
+def subspace_score(
+    engine: Engine, data: Data, scatter: Scatter, terms: Sequence[Term], x: NDArray, held: Sequence[Term] = ()
+) -> list[Lead]:
+    """Gain of the best step in all parameters of a term together, at the fitted `x` of the model with `held`.
+
+    For laws without a name, whose parameters are coefficients: one of them alone may promise nothing where together
+    they explain everything. Each lead starts from zero, where a fit finds that step by itself.
+    """
+    profile = Profile(engine, data, scatter, x, held)
+    point = profile.problem.start.with_vector(x)
+    plain = engine.response(point, held, data.s).value
+    leads = []
+    for term in terms:
+        sizes = np.array([1e-6 * np.abs(term.starts[:, k]).max(initial=0.0) for k in range(term.n)])
+        sizes = np.where(sizes > 0, sizes, 1e-6 * np.abs(term.starts).max())
+        value = sweep(engine, point, term, np.diag(sizes), data.s, held)
+        gain = profile.joint_gain(profile.rows((value - plain) * 1e6))
+        leads.append(Lead(term, np.zeros(term.n), gain))
     return leads
 
 

@@ -67,4 +67,4 @@ def test_frf_of_hits_on_soft_cords_is_that_of_the_structure(offset):
             exact += 0.5 / (1 - pole / z) / RATE
     band = seen.frequency < 100
     error = np.abs(seen.value[0, 0] - exact)[band]
-    assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(np.mean(np.abs(exact[band]) ** 2))  # the window leaves a hundredth at the end
+    assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(np.mean(np.abs(exact[band]) ** 2))
