@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -91,6 +91,8 @@ class NonlinearAnswer:
     """Steady states of the last fit, of training runs and of those held out."""
     lying: int | None = None
     """Number of a response that was left out, because a law explains the others far better without it."""
+    held_out: tuple[Run, ...] = ()
+    scatter: Scatter = field(default_factory=Scatter)
 
 
 def answer(
@@ -314,7 +316,7 @@ def _decide(
     return NonlinearAnswer(
         named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), _curves(found, best), found, tuple(laws), misfit, plain,
-        noise, tuple(orbits),
+        noise, tuple(orbits), held_out=tuple(o.run for o in test if o.run is not None), scatter=scatter,
     )  # fmt: skip
 
 
