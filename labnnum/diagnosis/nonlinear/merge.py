@@ -10,7 +10,8 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
-from labnnum.diagnosis.nonlinear.answer import KNOWN, UNCONFIRMED, USELESS, NonlinearAnswer, answer
+from labnnum.diagnosis.nonlinear.answer import answer
+from labnnum.diagnosis.nonlinear.decision import KNOWN, UNCONFIRMED, USELESS, NonlinearAnswer
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places

@@ -1,0 +1,63 @@
+"""The laws of an answer: the best one against its rivals, then one more at a time while prediction gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
+from labnnum.diagnosis.nonlinear.further import further, needed
+from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.verdict import Limits
+
+FURTHER = 0.97
+"""Part of the held-out error so far that one more law must bring it below."""
+
+
+def chain(
+    found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    limits: Limits, progress: Callable[[str], None],
+) -> list[Tried]:  # fmt: skip
+    """The best law, then one more at a time while the prediction of held-out runs gains; at last a general one.
+
+    Laws that those found later make needless are taken out again.
+    """
+    laws = [found.best]
+    if laws[0].made.data_part < 1.3 * laws[0].made.count:
+        return laws
+
+    def held_out(t: Tried) -> float:
+        joint, (x, orbits) = settled_on(found, t, train, test, scatter)
+        return errors_of(joint, x, orbits, len(train))[1]
+
+    error = held_out(laws[0])
+    refused = False
+    for general in (False, False, True):
+        if refused and not general:
+            continue
+        progress(f"looking for nonlinear law {len(laws) + 1}")
+        more = further(found, laws[-1], every, scatter, limits.further, general=general)
+        told = held_out(more) if more is not None else np.inf
+        if more is None or told > FURTHER * error:
+            refused = True
+            continue
+        laws.append(more)
+        error = told
+    return needed(found, laws, scatter, limits.further) if len(laws) > 1 else laws
+
+
+def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
+    """The winning law at the spots that explain the distortion next best."""
+    best = found.best
+    have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
+    own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
+    near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
+    return at_places(found, best, near[:3], scatter)
+
+
+RIVAL = 0.8
+"""Part of what a general law removes at the best place that it must remove at another for the law to be tried there."""
