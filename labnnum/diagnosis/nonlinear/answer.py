@@ -9,7 +9,7 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
-from labnnum.diagnosis.nonlinear.chain import chain, rivals
+from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
 from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.joined import joined, records
@@ -82,10 +82,18 @@ def answer(
     def exploring(some: Sequence[Observation]) -> Prospect | None:
         own = base_point(engine, some[i], scatter, span)
         return explore(
-            engine, own, [o.run for o in some if o.run is not None], i, every, scatter, lines=FEW, carry_on=False
+            engine,
+            own,
+            [o.run for o in some if o.run is not None],
+            i,
+            every,
+            scatter,
+            lines=FEW,
+            carry_on=False,
+            unnamed=not nearly,
         )
 
-    seen = explore(engine, point, runs, i, every, scatter, progress=progress)
+    seen = explore(engine, point, runs, i, every, scatter, unnamed=not nearly, progress=progress)
     believed: tuple[Observation, ...] = ()
     if doubted is not None:
         again = exploring([without(o, doubted) for o in train])
@@ -109,7 +117,7 @@ def answer(
     if not tried:
         return None
     found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
-    laws = chain(found, every, train, test, scatter, limits, progress)
+    laws = laws_of(found, every, train, test, scatter, limits, progress)
     more = records(others, span, runs[0].miss) if nearly and not whole else []
     if more:
         progress("fitting records that are not periodic")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,34 @@ FURTHER = 0.97
 """Part of the held-out error so far that one more law must bring it below."""
 
 
+def laws_of(
+    found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    limits: Limits, progress: Callable[[str], None],
+) -> list[Tried]:  # fmt: skip
+    """The chain that begins with the best named law, or the best law without a name where that leaves less.
+
+    A law of one term without a name competes as a named one does, but must lead by as much as tells two names apart:
+    catalogues hold what is common. Where it leaves no more than noise, no further laws are looked for.
+    """
+    named = [t for t in found.tried if t.named and t.simulated]
+    best = found.best
+    if best.named or not named:
+        return chain(found, every, train, test, scatter, limits, progress) if best.named else [best]
+    excess = max(1.0, best.made.data_part / best.made.count)
+    ahead = (named[0].cost - best.cost) / excess > limits.name
+    if ahead and best.made.data_part < NOISE * best.made.count:
+        return [best]
+    rest = [t for t in found.tried if t is not named[0]]
+    laws = chain(replace(found, tried=(named[0], *rest)), every, train, test, scatter, limits, progress)
+    last = laws[-1]
+    behind = last.cost * best.made.count / last.made.count - best.cost
+    return [best] if behind / excess > limits.name else laws
+
+
+NOISE = 1.3
+"""Chi-square per value below which a law leaves nothing for another one."""
+
+
 def chain(
     found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
     limits: Limits, progress: Callable[[str], None],
@@ -27,7 +56,7 @@ def chain(
     Laws that those found later make needless are taken out again.
     """
     laws = [found.best]
-    if laws[0].made.data_part < 1.3 * laws[0].made.count:
+    if laws[0].made.data_part < NOISE * laws[0].made.count:
         return laws
 
     def held_out(t: Tried) -> float:

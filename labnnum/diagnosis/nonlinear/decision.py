@@ -13,8 +13,10 @@ from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.problem import Made
+from labnnum.diagnosis.nonlinear.scales import scale_std
 from labnnum.diagnosis.nonlinear.shown import Curve, curves
 from labnnum.diagnosis.nonlinear.study import Study, Tried
+from labnnum.diagnosis.nonlinear.suspect import heard
 from labnnum.diagnosis.nonlinear.timing import Timed, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Alternative, Limits, Named
@@ -63,6 +65,11 @@ class NonlinearAnswer:
     """Number of a response that was left out, because a law explains the others far better without it."""
 
 
+NAMELESS = "a smooth law that the catalogue does not hold explains it best"
+GENERAL = "a general law of motion and speed explains far more than any named one"
+EQUAL = "two nonlinear laws explain it equally well"
+FOUND = (NAMELESS, GENERAL)
+"""Reasons for which nothing is named although nonlinear physics is certain, and at its place."""
 USELESS = "the best nonlinear law does not improve the prediction of data held out"
 """The reason where distortion stands above the noise, and no law helps to predict."""
 GAINS = 0.9
@@ -87,15 +94,16 @@ def decide(
     timed : sequence of Timed
         Places by the time at which distortion comes.
     """
-    best, base, last = found.best, found.base, laws[-1]
+    best, base, last = laws[0], found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
-    rivals = [t for t in found.tried if not t.same(best)]
+    rivals = [t for t in found.tried if t.named and not t.same(best)]
     equals = [t.cost for t in rivals if t.simulated and not _only_smoother(t, best)]
     lead = (min(equals) - best.cost) / excess if equals else np.inf
     total = (base.objective * best.made.count / base.count - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count
     general = _level(found.general, last) if found.general is not None else np.inf
     behind = (last.cost - general) / max(1.0, misfit)
+    left = (last.made.data_part - last.made.count) / max(1.0, misfit)
     joint, made = settled_on(found, last, train, test, scatter)
     x, orbits = made
     plain = found.base.x if enough == NEARLY else found.quiet.x
@@ -108,17 +116,22 @@ def decide(
         reason = UNCONFIRMED
     elif misfit > MISFIT and not nearly:
         reason = "what the best nonlinear law leaves is far more than noise"
-    elif behind > max(limits.alarm, limits.behind * total) and not nearly:
-        reason = "a general law of motion and speed explains far more than any named one"
+    elif not best.named:
+        reason = NAMELESS
+    elif behind > max(limits.alarm, HALF * left) and not (nearly and enough > NEARLY):
+        reason = GENERAL
     elif lead < limits.name:
-        reason = "two nonlinear laws explain it equally well"
-    if not reason and extended_error[1] > limits.improve * base_error[1] and extended_error[1] > 3 * noise:
+        reason = EQUAL
+    sure = not reason or reason in (*FOUND, EQUAL)
+    if sure and extended_error[1] > limits.improve * base_error[1] and extended_error[1] > 3 * noise:
         reason = USELESS
-    if not reason and extended_error[1] > GAINS * base_error[1]:
+    if sure and extended_error[1] > GAINS * base_error[1]:
         reason = USELESS
     if not reason and len({(t.mechanism, t.spot.place) for t in laws if t.mechanism in MECHANISMS}) > MOST:
         reason = "it takes more than two named laws, which may stand for one that has no name"
-    named = () if reason else _all_named(laws, best, rivals)
+    if reason and base_error[1] < scatter.floor:
+        reason = UNCONFIRMED  # the base explains all that a sound model does
+    named = () if reason else _all_named(found, laws, rivals, scatter)
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
@@ -155,6 +168,8 @@ def _level_of(base: Made, other: Tried) -> float:
     return base.objective * other.made.count / base.count
 
 
+HALF = 0.5
+"""Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
 MOST = 2
 """Different laws, or places, that are named together."""
 LITTLE = 0.3
@@ -165,20 +180,27 @@ NEARLY = 0.1
 """unless the held-out error falls to this of the base's: what is left is then a small correction to the law."""
 
 
-def _all_named(laws: Sequence[Tried], best: Tried, rivals: Sequence[Tried]) -> tuple[Named, ...]:
-    """Every named law of the chain, its parameters from the last fit; a general one has no name."""
+def _all_named(
+    found: Study, laws: Sequence[Tried], rivals: Sequence[Tried], scatter: Scatter
+) -> tuple[Named, ...]:  # fmt: skip
+    """Every named law of the chain, its parameters from the last fit; a general one has no name.
+
+    Standard deviations grow with what the fit leaves, and hold what common scales leave open (`scales`).
+    """
     last = laws[-1].made
     excess = max(1.0, last.data_part / last.count)
+    based, n_out = found.engine.is_base, int(np.count_nonzero(heard(found.runs[0])))
     out = []
     for i, t in enumerate(laws):
-        if t.mechanism not in MECHANISMS:
+        if not t.named:
             continue
         mechanism = MECHANISMS[t.mechanism]
         value, std = last.law(i)
         n = len(mechanism.names)
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
-        trust = _confidence(best, rivals) if i == 0 else 0.95
-        out.append(Named(term, value[:n], std[:n] * np.sqrt(excess), trust))
+        trust = _confidence(laws[0], rivals) if i == 0 else 0.95
+        common = scale_std(mechanism.units, value[:n], scatter, max(n_out, 1), based)
+        out.append(Named(term, value[:n], np.hypot(std[:n] * np.sqrt(excess), common), trust))
     return tuple(out)
 
 

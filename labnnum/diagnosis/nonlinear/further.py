@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, general_lead, law_leads, ranked, recover
-from labnnum.diagnosis.nonlinear.problem import Joint, Made, fit
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint, Made, fit
 from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.diagnosis.nonlinear.study import LAWS, Study, Tried, cost
 from labnnum.errors import EstimationError
@@ -49,7 +49,9 @@ def further(
         leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
     excess = max(1.0, made.data_part / made.count)
     least = max(alarm * excess, GAIN * (made.objective - made.count))
-    leads = sorted((lead for lead in leads if lead.gain > least), key=lambda lead: -lead.gain)
+    leads = sorted(
+        (lead for lead in leads if lead.gain > least and not _again(lead, held)), key=lambda lead: -lead.gain
+    )
     best: Tried | None = None
     for lead in leads[: 1 if general else 2]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
@@ -70,6 +72,16 @@ def further(
     gain = (made.objective - best.cost) / excess
     left = max(made.objective - made.count, 1.0) / excess
     return best if gain > max(alarm, GAIN * left) else None
+
+
+MEMORY = ("stick-slip", "hysteresis", "coulomb-friction")
+"""Laws of which one contains another: a slider without a spring, with one, with its corners rounded."""
+
+
+def _again(lead: Lead, held: Sequence[Acting]) -> bool:
+    """Whether a law of the same kind acts at the lead's place already: two of them say that it is neither."""
+    here = [t.mechanism for t in held if np.array_equal(np.abs(t.column), np.abs(lead.spot.column))]
+    return lead.mechanism in here or (lead.mechanism in MEMORY and any(m in MEMORY for m in here))
 
 
 def _with_one_more(o: Orbit | None) -> Orbit | None:

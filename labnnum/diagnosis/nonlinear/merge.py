@@ -11,7 +11,7 @@ import numpy as np
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.answer import answer
-from labnnum.diagnosis.nonlinear.decision import KNOWN, UNCONFIRMED, USELESS, NonlinearAnswer
+from labnnum.diagnosis.nonlinear.decision import FOUND, KNOWN, UNCONFIRMED, USELESS, NonlinearAnswer
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -75,7 +75,7 @@ def nonlinear_first(
     found = answer(engine, train, test, places, scatter, limits, band, progress, usable, known, nearly)
     if found is None or found.reason == UNCONFIRMED:
         return None
-    if not found.named and found.reason != KNOWN:
+    if not found.named and found.reason != KNOWN and found.reason not in FOUND:
         plain = again(observations, held_out)  # what one linear mechanism explains needs no law that has no name
         periodic = all(o.run is not None for o in train)
         small = found.base_error[1] < max(limits.sound, 3 * found.noise)
@@ -83,7 +83,8 @@ def nonlinear_first(
         if plain.named or sound:
             return plain
     progress("searching for linear physics beside it")
-    explained = (bool(found.named) or found.reason == KNOWN) and found.misfit < EXPLAINED and found.lying is None
+    sure = bool(found.named) or found.reason in (KNOWN, *FOUND)
+    explained = sure and found.misfit < EXPLAINED and found.lying is None
     rest = again(found.linearised, found.linearised_held_out, **({"catalogue": ()} if explained else {}))
     if explained and rest.verdict not in ("consistent", "parameters"):
         rest = again(found.linearised, found.linearised_held_out)  # the law's errors excused what a channel has wrong

@@ -45,6 +45,9 @@ class Acting:
         return len(self.shape.names)
 
 
+PASSIVE = 0.5
+"""Share of beta in a hysteretic law from which on no loop of it returns more than it took (Erlicher and Point 2004:
+gamma between -beta and beta); far below, the law is no loop but a spring that softens."""
 WARM = 3
 """Periods marched before Newton's method where nothing is known of the steady state."""
 EXACT = 80
@@ -143,7 +146,7 @@ class Joint:
             if t.shape.law in ("stick-slip", "clearance", "hysteresis"):
                 one_low[:2] = 1e-6 * s[:2]
             if t.shape.law == "hysteresis":
-                one_low[2:4], one_high[2:4] = (0.6, 0.02), (6.0, 1.0)
+                one_low[2:4], one_high[2:4] = (0.6, PASSIVE), (6.0, 1.0)
             if t.shape.law == "general":
                 unused = size == 0
                 one_low[unused], one_high[unused] = 0.0, 0.0

@@ -59,9 +59,15 @@ class Tried:
         """Its id."""
         return self.lead.mechanism
 
+    @property
+    def named(self) -> bool:
+        """Whether its law is one of the catalogue."""
+        return self.mechanism != "general"
+
     def same(self, other: Tried) -> bool:
         """Whether both are one answer."""
-        return self.mechanism == other.mechanism and self.spot.place == other.spot.place
+        same_terms = self.named or np.array_equal(self.lead.p != 0, other.lead.p != 0)
+        return self.mechanism == other.mechanism and self.spot.place == other.spot.place and same_terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +203,8 @@ class Prospect:
 
 def explore(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
-    *, lines: int = LINES, carry_on: bool = True, progress: Callable[[str], None] = lambda text: None,
+    *, lines: int = LINES, carry_on: bool = True, unnamed: bool = True,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Prospect | None:  # fmt: skip
     """Fit the base, locate, regress, and follow the leads along the recovered motion.
 
@@ -210,6 +217,8 @@ def explore(
     spots : sequence of Spot
     carry_on : bool
         Whether all that came near after a few steps is followed to the end, or the nearest two only.
+    unnamed : bool
+        Whether smooth laws of one term that have no name compete with the named ones.
     """
     bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
     alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
@@ -218,13 +227,13 @@ def explore(
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
     progress("locating")
     nominal = engine_start(plain)
-    found, leads = looked(plain, calm.x, spots)
+    found, leads = looked(plain, calm.x, spots, unnamed)
     near: list[Tried] = []
     if leads:
         progress("following nonlinear laws along the motion")
         near = followed(bench, (calm.x, nominal), leads, carry_on)
     if calm.data_part > MISLED * calm.count and not (near and near[0].made.data_part < MISLED * near[0].made.count):
-        other, leads = looked(plain, nominal, spots)
+        other, leads = looked(plain, nominal, spots, unnamed)
         again = followed(bench, (nominal,), leads, carry_on) if leads else []
         if again and (not near or again[0].cost < near[0].cost):
             near, found = sorted([*again, *near], key=lambda t: t.cost), other
@@ -282,11 +291,16 @@ MISLED = 5.0
 """Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
 
 
-def looked(plain: Joint, x: NDArray, spots: Sequence[Spot]) -> tuple[list[Recovered], list[Lead]]:
+def looked(
+    plain: Joint, x: NDArray, spots: Sequence[Spot], unnamed: bool = False
+) -> tuple[list[Recovered], list[Lead]]:  # fmt: skip
     """Spots ranked by the forces recovered with the base at `x`, and what every law promises at the nearest."""
     background = Background(plain, x[: plain.n_base])
     found = ranked(background, [recover(plain, x, plain.point, s) for s in spots])
-    return found, [lead for q in nearest(found) for lead in law_leads(background, q, LAWS)]
+    leads = [lead for q in nearest(found) for lead in law_leads(background, q, LAWS)]
+    if unnamed:
+        leads += [lead for q in nearest(found) for lead in q.unnamed]
+    return found, leads
 
 
 def nearest(found: Sequence[Recovered]) -> list[Recovered]:
@@ -356,7 +370,9 @@ def _smooth(bench: Bench, slider: Tried) -> Tried | None:
 
 
 FRONT = 4
-"""Follows that are simulated, at most."""
+"""Follows that are simulated, at most,"""
+UNNAMED_FRONT = 2
+"""and of laws that have no name."""
 CLOSE = 1.5
 """Cost, of the least, below which a follow may turn out better when it is simulated."""
 
@@ -367,7 +383,10 @@ def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
     best = np.inf
     for t in near:
         enough = sum(o.simulated for o in out)
-        if enough >= FRONT or (enough and t.cost > CLOSE * min(best, near[0].cost) and t.cost > best):
+        alike = sum(o.simulated for o in out if o.named == t.named)
+        if alike >= (FRONT if t.named else UNNAMED_FRONT) or (
+            enough and t.cost > CLOSE * min(best, near[0].cost) and t.cost > best
+        ):
             out.append(t)
             continue
         one = bench.simulate(t, LONG)
@@ -426,7 +445,9 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
         return []
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines)
     limit = shown[0].cost * 3 + 1e3
-    done = [bench.carry_on(t, 4) for t in shown[:most] if t is shown[0] or t.cost < limit]
+    kept = [*shown[:most], *[t for t in shown if t.named][:1]]  # the best name too, to be told from what has none
+    kept = [t for i, t in enumerate(kept) if t not in kept[:i] and (t is shown[0] or t.cost < limit)]
+    done = [bench.carry_on(t, 4) for t in kept]
     best = min(done, key=lambda t: t.cost)
     sure = bench.carry_on(best, 2, always=True)
     done = [sure if t is best else t for t in done]
