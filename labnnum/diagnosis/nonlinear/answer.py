@@ -10,7 +10,7 @@ import numpy as np
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
-from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide
+from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide, nameless
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
@@ -94,6 +94,8 @@ def answer(
         )
 
     seen = explore(engine, point, runs, i, every, scatter, unnamed=not nearly, progress=progress)
+    if seen is not None and doubted is None and seen.nameless:
+        return nameless(seen, train, test, scatter)
     believed: tuple[Observation, ...] = ()
     if doubted is not None:
         again = exploring([without(o, doubted) for o in train])
@@ -117,7 +119,7 @@ def answer(
     if not tried:
         return None
     found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
-    laws = laws_of(found, every, train, test, scatter, limits, progress)
+    laws = laws_of(found, every, train, test, scatter, limits, progress, nearly > 0)
     more = records(others, span, runs[0].miss) if nearly and not whole else []
     if more:
         progress("fitting records that are not periodic")

@@ -21,7 +21,7 @@ FURTHER = 0.97
 
 def laws_of(
     found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
-    limits: Limits, progress: Callable[[str], None],
+    limits: Limits, progress: Callable[[str], None], identified: bool = False,
 ) -> list[Tried]:  # fmt: skip
     """The chain that begins with the best named law, or the best law without a name where that leaves less.
 
@@ -31,13 +31,13 @@ def laws_of(
     named = [t for t in found.tried if t.named and t.simulated]
     best = found.best
     if best.named or not named:
-        return chain(found, every, train, test, scatter, limits, progress) if best.named else [best]
+        return chain(found, every, train, test, scatter, limits, progress, identified) if best.named else [best]
     excess = max(1.0, best.made.data_part / best.made.count)
     ahead = (named[0].cost - best.cost) / excess > limits.name
     if ahead and best.made.data_part < NOISE * best.made.count:
         return [best]
     rest = [t for t in found.tried if t is not named[0]]
-    laws = chain(replace(found, tried=(named[0], *rest)), every, train, test, scatter, limits, progress)
+    laws = chain(replace(found, tried=(named[0], *rest)), every, train, test, scatter, limits, progress, identified)
     last = laws[-1]
     behind = last.cost * best.made.count / last.made.count - best.cost
     return [best] if behind / excess > limits.name else laws
@@ -49,11 +49,12 @@ NOISE = 1.3
 
 def chain(
     found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
-    limits: Limits, progress: Callable[[str], None],
+    limits: Limits, progress: Callable[[str], None], identified: bool = False,
 ) -> list[Tried]:  # fmt: skip
-    """The best law, then one more at a time while the prediction of held-out runs gains; at last a general one.
+    """The best law, then another while the prediction of held-out runs gains.
 
-    Laws that those found later make needless are taken out again.
+    Laws that those found later make needless are taken out again. Where the base was `identified` a general law follows
+    at last, which takes up what such a base lacks; elsewhere it would only hide that the names are wrong.
     """
     laws = [found.best]
     if laws[0].made.data_part < NOISE * laws[0].made.count:
@@ -65,7 +66,7 @@ def chain(
 
     error = held_out(laws[0])
     refused = False
-    for general in (False, False, True):
+    for general in (False, False, True) if identified else (False,):
         if refused and not general:
             continue
         progress(f"looking for nonlinear law {len(laws) + 1}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.problem import Made
 from labnnum.diagnosis.nonlinear.scales import scale_std
 from labnnum.diagnosis.nonlinear.shown import Curve, curves
-from labnnum.diagnosis.nonlinear.study import Study, Tried
+from labnnum.diagnosis.nonlinear.study import Prospect, Study, Tried
 from labnnum.diagnosis.nonlinear.suspect import heard
 from labnnum.diagnosis.nonlinear.timing import Timed, told
 from labnnum.diagnosis.observe import Observation
@@ -39,7 +39,7 @@ class NonlinearAnswer:
 
     `named` is empty where no law of the catalogue explains them; `place` is then where something acts. Errors are
     relative RMS of the response spectra on all lines of the band, over (training, held-out) runs. `linearised` are
-    the observations with the law's share taken out of their FRFs.
+    the observations with the law's share taken out of their FRFs; there are none where nothing was simulated.
     """
 
     named: tuple[Named, ...]
@@ -150,6 +150,21 @@ def decide(
         named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
         noise, tuple(orbits),
+    )  # fmt: skip
+
+
+def nameless(
+    seen: Prospect, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter
+) -> NonlinearAnswer:  # fmt: skip
+    """The answer where a law without a name is so far ahead along the motion that nothing needs to be simulated."""
+    best, bench = seen.near[0], seen.bench
+    tried = tuple(replace(t, simulated=False) for t in seen.near)
+    found = Study(bench.engine, bench.point, bench.runs, seen.base, seen.calm, tried, None, seen.recovered)
+    error = base_errors(found, train, test, seen.base.x, scatter)
+    rivals = [t for t in tried if t.named]
+    return NonlinearAnswer(
+        (), best.spot.place, _alternatives(best, rivals, Limits()), _located(found), error, error, NAMELESS, (), (),
+        curves(found, best), found, (best,), seen.level, seen.base.x, noise_of(test or train),
     )  # fmt: skip
 
 

@@ -82,6 +82,9 @@ def nonlinear_first(
         sound = plain.verdict in ("consistent", "parameters") and (small if found.reason == USELESS else not periodic)
         if plain.named or sound:
             return plain
+    if not found.linearised:
+        rest = again(observations, held_out, catalogue=())
+        return merged(found, rest, gate.named, nonlinear_signs(observations), observations)
     progress("searching for linear physics beside it")
     sure = bool(found.named) or found.reason in (KNOWN, *FOUND)
     explained = sure and found.misfit < EXPLAINED and found.lying is None

@@ -24,7 +24,8 @@ class Curve:
 
 def curves(found: Study, best: Tried) -> tuple[Curve, ...]:
     """Force recovered from the measurement and the law along the motion, at the best place, thinned for drawing."""
-    mine = next((q for q in found.recovered if q.spot.place == best.spot.place), None)
+    here = best.spot.place, best.spot.axis.lstrip("-")
+    mine = next((q for q in found.recovered if (q.spot.place, q.spot.axis) == here), None)
     if mine is None:
         return ()
     sign = -1.0 if best.spot.axis.startswith("-") else 1.0

@@ -200,6 +200,13 @@ class Prospect:
         """Chi-square per value that the best law leaves."""
         return self.near[0].made.data_part / self.near[0].made.count
 
+    @property
+    def nameless(self) -> bool:
+        """Whether a law without a name leaves so much less than every named one that no simulation can turn that."""
+        best = self.near[0]
+        others = [self.base.objective * best.made.count / self.base.count, *(t.cost for t in self.near if t.named)]
+        return not best.named and NEAR * best.cost < min(others)
+
 
 def explore(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
@@ -327,7 +334,10 @@ def engine_start(plain: Joint) -> NDArray[np.float64]:
 FAINT = 0.05
 """Part of the best lead's gain below which a lead is not followed."""
 QUICK, LONG = 3, 10
-"""Steps of a follow, and of those that came near."""
+"""Steps of a follow that begins well, and of those that came near."""
+BRIEF = 12
+"""Follows, the best after one step, that are carried on however far behind; those that are carried on to the end at
+most; leads followed where a channel is left out."""
 NEAR = 3.0
 """Cost, of the least, below which a follow is carried on; and simulated."""
 
@@ -341,17 +351,21 @@ def followed(
     """
     top = max(lead.gain for lead in leads)
     some = [lead for lead in leads if lead.gain > FAINT * top and lead.mechanism != "hysteresis"]
-    first: list[Tried] = []
-    for lead in some:
-        made = [bench.follow(x, lead, QUICK) for x in starts]
-        first += sorted((t for t in made if t is not None), key=lambda t: t.cost)[:1]
-    first.sort(key=lambda t: t.cost)
-    if not first:
+    some.sort(key=lambda lead: -lead.gain)
+    begun: list[Tried] = []
+    for lead in some if carry_on else some[:BRIEF]:
+        made = [bench.follow(x, lead, 1) for x in starts]
+        begun += sorted((t for t in made if t is not None), key=lambda t: t.cost)[:1]
+    begun.sort(key=lambda t: t.cost)
+    if not begun:
         return []
+    limit = NEAR * begun[0].cost
+    first = [bench.follow_on(t, QUICK - 1) if i < BRIEF or t.cost < limit else t for i, t in enumerate(begun)]
+    first.sort(key=lambda t: t.cost)
     if not carry_on:
         return sorted([*(bench.follow_on(t, LONG) for t in first[:2]), *first[2:]], key=lambda t: t.cost)
     limit = NEAR * first[0].cost
-    done = [bench.follow_on(t, LONG) if t.cost < limit else t for t in first]
+    done = [bench.follow_on(t, LONG) if i < BRIEF and t.cost < limit else t for i, t in enumerate(first)]
     done.sort(key=lambda t: t.cost)
     for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:
         smooth = _smooth(bench, t)
