@@ -129,8 +129,8 @@ def decide(
         reason = USELESS
     if not reason and len({(t.mechanism, t.spot.place) for t in laws if t.mechanism in MECHANISMS}) > MOST:
         reason = "it takes more than two named laws, which may stand for one that has no name"
-    if reason and base_error[1] < scatter.floor:
-        reason = UNCONFIRMED  # the base explains all that a sound model does
+    if max(base_error) < scatter.floor:
+        reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
     named = () if reason else _all_named(found, laws, rivals, scatter)
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):

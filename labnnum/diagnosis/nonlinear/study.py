@@ -335,6 +335,9 @@ FAINT = 0.05
 """Part of the best lead's gain below which a lead is not followed."""
 QUICK, LONG = 3, 10
 """Steps of a follow that begins well, and of those that came near."""
+PRIME = 2
+"""Places, by the best lead and by the best follow after one step, at which every law is carried on: a law with memory
+begins badly where a smooth one does well."""
 BRIEF = 12
 """Follows, the best after one step, that are carried on however far behind; those that are carried on to the end at
 most; leads followed where a channel is left out."""
@@ -359,13 +362,21 @@ def followed(
     begun.sort(key=lambda t: t.cost)
     if not begun:
         return []
+    prime = [*dict.fromkeys(t.spot.place for t in begun)][:PRIME]
+    prime += [*dict.fromkeys(lead.spot.place for lead in some)][:PRIME]
     limit = NEAR * begun[0].cost
-    first = [bench.follow_on(t, QUICK - 1) if i < BRIEF or t.cost < limit else t for i, t in enumerate(begun)]
+    first = [
+        bench.follow_on(t, QUICK - 1) if i < BRIEF or t.cost < limit or t.spot.place in prime else t
+        for i, t in enumerate(begun)
+    ]
     first.sort(key=lambda t: t.cost)
     if not carry_on:
         return sorted([*(bench.follow_on(t, LONG) for t in first[:2]), *first[2:]], key=lambda t: t.cost)
     limit = NEAR * first[0].cost
-    done = [bench.follow_on(t, LONG) if i < BRIEF and t.cost < limit else t for i, t in enumerate(first)]
+    done = [
+        bench.follow_on(t, LONG) if t.cost < limit and (i < BRIEF or t.spot.place in prime) else t
+        for i, t in enumerate(first)
+    ]
     done.sort(key=lambda t: t.cost)
     for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:
         smooth = _smooth(bench, t)
