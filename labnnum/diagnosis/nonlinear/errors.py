@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.problem import Joint
+from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.diagnosis.nonlinear.study import Study, Tried
 from labnnum.diagnosis.nonlinear.suspect import heard
 from labnnum.diagnosis.observe import Observation
@@ -35,8 +37,25 @@ def settled_on(
     joint = Joint(
         found.engine, found.point, runs, best.made.terms, scatter, [choose_lines(r, 300, scatter.floor) for r in runs]
     )
-    start = [*best.made.orbits, *([None] * (len(runs) - len(best.made.orbits)))]
+    known = list(best.made.orbits)
+    start = [*known, *_begun(joint, best.made.x, len(known))]
     return joint, (best.made.x, joint.settle(best.made.x, start, 12))
+
+
+def _begun(joint: Joint, x: NDArray, first: int) -> list[Orbit | None]:
+    """Where the march over the runs from `first` on begins: at the law's force along the motion that they show.
+
+    A law that softens or sticks may have other steady states, to which a march from nothing would go. Of several laws
+    at once nothing is known beforehand.
+    """
+    rest = joint.runs[first:]
+    if joint.k != 1 or not rest:
+        return [None] * len(rest)
+    shown = Followed(joint.engine, joint.point, rest, joint.terms[0], joint.scatter, joint.lines[first:])
+    orbits = shown.settle(x, [None] * len(rest), 0)
+    marched = marched_from(joint, x, [*([None] * first), *orbits])[first:]
+    kept = [None if o is None or not np.isfinite(o.time).all() else o for o in marched]
+    return kept if all(r.lasting for r in rest) else [None] * len(rest)
 
 
 def base_errors(
