@@ -15,6 +15,9 @@ from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Limits
 
+PROMISE = 0.3
+"""Part of what the first law leaves beyond noise that a second must promise to remove: names need a fit near the noise,
+and of two laws the second must bring it there."""
 FURTHER = 0.97
 """Part of the held-out error so far that one more law must bring it below."""
 
@@ -70,7 +73,8 @@ def chain(
         if refused and not general:
             continue
         progress(f"looking for nonlinear law {len(laws) + 1}")
-        more = further(found, laws[-1], every, scatter, limits.further, general=general)
+        promise = 0.1 if identified else PROMISE
+        more = further(found, laws[-1], every, scatter, limits.further, general=general, promise=promise)
         told = held_out(more) if more is not None else np.inf
         if more is None or told > FURTHER * error:
             refused = True

@@ -59,6 +59,8 @@ class NonlinearAnswer:
     """Vector of the base model that errors are compared with: fitted to all runs, an identified one to the quietest."""
     noise: float = 0.0
     """Relative RMS that noise alone leaves of the responses held out."""
+    gained: bool = True
+    """Whether the laws leave less than half of what the base does: something nonlinear is there, named or not."""
     orbits: tuple[Any, ...] = ()
     """Steady states of the last fit, of training runs and of those held out."""
     lying: int | None = None
@@ -142,6 +144,7 @@ def decide(
         linear, n_train = linearised_records(found, last.made, whole, scatter), len(whole)
     else:
         linear, n_train = linearised(found, last.made, orbits, (*train, *test), scatter), len(train)
+    gained = misfit < HALF * base.data_part / base.count and reason not in (UNCONFIRMED, USELESS)
     alternatives = _alternatives(best, rivals, limits)
     located = _located(found)
     if told(timed, limits):
@@ -149,7 +152,7 @@ def decide(
     return NonlinearAnswer(
         named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
-        noise, tuple(orbits),
+        noise, gained, tuple(orbits),
     )  # fmt: skip
 
 

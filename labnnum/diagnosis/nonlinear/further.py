@@ -22,7 +22,7 @@ GAIN = 0.1
 
 def further(
     study: Study, first: Tried, spots: Sequence[Spot], scatter: Scatter, alarm: float, lines: int = 250, *,
-    general: bool = False,
+    general: bool = False, promise: float = 0.1,
 ) -> Tried | None:  # fmt: skip
     """One more law beside those of `first`: the best that any spot's remaining force asks for, fitted with them.
 
@@ -30,6 +30,8 @@ def further(
     ----------
     general : bool
         Whether the general law is tried, instead of named ones, at the places that act already.
+    promise : float
+        Part of the excess over noise that a law must promise to remove along the recovered motion to be fitted.
 
     Returns
     -------
@@ -48,7 +50,7 @@ def further(
     for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
         leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
     excess = max(1.0, made.data_part / made.count)
-    least = max(alarm * excess, GAIN * (made.objective - made.count))
+    least = max(alarm * excess, promise * (made.objective - made.count))
     leads = sorted(
         (lead for lead in leads if lead.gain > least and not _again(lead, held)), key=lambda lead: -lead.gain
     )

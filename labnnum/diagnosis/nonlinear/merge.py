@@ -11,7 +11,7 @@ import numpy as np
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.answer import answer
-from labnnum.diagnosis.nonlinear.decision import FOUND, KNOWN, UNCONFIRMED, USELESS, NonlinearAnswer
+from labnnum.diagnosis.nonlinear.decision import FOUND, KNOWN, MISFIT, UNCONFIRMED, USELESS, NonlinearAnswer
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -79,9 +79,13 @@ def nonlinear_first(
         plain = again(observations, held_out)  # what one linear mechanism explains needs no law that has no name
         periodic = all(o.run is not None for o in train)
         small = found.base_error[1] < max(limits.sound, 3 * found.noise)
-        sound = plain.verdict in ("consistent", "parameters") and (small if found.reason == USELESS else not periodic)
+        sound = plain.verdict in ("consistent", "parameters") and (
+            small if found.reason == USELESS else not (periodic or found.gained)
+        )
         if plain.named or sound:
             return plain
+        if found.misfit > MISFIT and not gate.named:  # what such a law leaves is no linear structure either
+            return merged(found, plain, (), nonlinear_signs(observations), observations)
     if not found.linearised:
         rest = again(observations, held_out, catalogue=())
         return merged(found, rest, gate.named, nonlinear_signs(observations), observations)

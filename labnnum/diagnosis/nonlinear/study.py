@@ -117,9 +117,10 @@ class Bench:
         return self.follow(one.made.x[: one.made.n_base], of_fit(one), steps) or one
 
     def simulate(self, one: Tried, steps: int) -> Tried | None:
-        """A law that was followed, fitted by simulation."""
+        """A law that was followed, fitted by simulation: from its force along the motion, or else from nothing."""
         joint = self.joint([of_fit(one)])
-        return _tried(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
+        made = _tried(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
+        return made or _tried(joint, one.made.x, [None] * len(self.runs), one.lead, steps)
 
     def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int) -> Tried | None:
         """A law fitted by simulation from what the recovered motion promised, from several base vectors."""
