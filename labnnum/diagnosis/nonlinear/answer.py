@@ -10,7 +10,7 @@ import numpy as np
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
-from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide, nameless
+from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide, unsimulated
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
@@ -95,13 +95,15 @@ def answer(
 
     seen = explore(engine, point, runs, i, every, scatter, unnamed=not nearly, progress=progress)
     if seen is not None and doubted is None and seen.nameless:
-        return nameless(seen, train, test, scatter)
+        return unsimulated(seen, train, test, scatter)
     believed: tuple[Observation, ...] = ()
     if doubted is not None:
         again = exploring([without(o, doubted) for o in train])
         lying = None if again is None else (doubted, again)
     else:
         lying = suspect(train, seen, exploring) if not (whole or nearly) else None
+    if lying is None and seen is not None and seen.hopeless and not nearly:
+        return unsimulated(seen, train, test, scatter)
     if lying is not None and seen is not None and doubted is None:
         whole_again = back(seen, lying[1])
         if whole_again is not None:  # it was the way to the law that was hard to find, not the channel that lied

@@ -70,6 +70,7 @@ class NonlinearAnswer:
 NAMELESS = "a smooth law that the catalogue does not hold explains it best"
 GENERAL = "a general law of motion and speed explains far more than any named one"
 EQUAL = "two nonlinear laws explain it equally well"
+NOTHING = "what the best nonlinear law leaves is far more than noise"
 FOUND = (NAMELESS, GENERAL)
 """Reasons for which nothing is named although nonlinear physics is certain, and at its place."""
 USELESS = "the best nonlinear law does not improve the prediction of data held out"
@@ -117,7 +118,7 @@ def decide(
     if total < limits.alarm and base_error[1] < max(limits.sound, 3 * noise):
         reason = UNCONFIRMED
     elif misfit > MISFIT and not nearly:
-        reason = "what the best nonlinear law leaves is far more than noise"
+        reason = NOTHING
     elif not best.named:
         reason = NAMELESS
     elif behind > max(limits.alarm, HALF * left) and not (nearly and enough > NEARLY):
@@ -156,18 +157,24 @@ def decide(
     )  # fmt: skip
 
 
-def nameless(
+def unsimulated(
     seen: Prospect, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter
 ) -> NonlinearAnswer:  # fmt: skip
-    """The answer where a law without a name is so far ahead along the motion that nothing needs to be simulated."""
+    """The answer that the fits along the motion give alone.
+
+    Either a law without a name is so far ahead that no simulation can turn that, or no law says anything; the place is
+    then where a force explains most of the distortion.
+    """
     best, bench = seen.near[0], seen.bench
     tried = tuple(replace(t, simulated=False) for t in seen.near)
     found = Study(bench.engine, bench.point, bench.runs, seen.base, seen.calm, tried, None, seen.recovered)
     error = base_errors(found, train, test, seen.base.x, scatter)
     rivals = [t for t in tried if t.named]
+    place = best.spot.place if seen.nameless else max(seen.recovered, key=lambda q: q.share).spot.place
     return NonlinearAnswer(
-        (), best.spot.place, _alternatives(best, rivals, Limits()), _located(found), error, error, NAMELESS, (), (),
-        curves(found, best), found, (best,), seen.level, seen.base.x, noise_of(test or train),
+        (), place, _alternatives(best, rivals, Limits()), _located(found), error, error,
+        NAMELESS if seen.nameless else NOTHING, (), (), curves(found, best), found, (best,), seen.level, seen.base.x,
+        noise_of(test or train), seen.nameless,
     )  # fmt: skip
 
 

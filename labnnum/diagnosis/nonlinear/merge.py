@@ -12,6 +12,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.answer import answer
 from labnnum.diagnosis.nonlinear.decision import FOUND, KNOWN, MISFIT, UNCONFIRMED, USELESS, NonlinearAnswer
+from labnnum.diagnosis.nonlinear.detect import CHANGE
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -82,7 +83,11 @@ def nonlinear_first(
         sound = plain.verdict in ("consistent", "parameters") and (
             small if found.reason == USELESS else not (periodic or found.gained)
         )
-        if plain.named or sound:
+        change = nonlinear_signs(observations)["level_dependence"]
+        linear = (
+            not found.gained and change is not None and change < CHANGE
+        )  # it rings, perhaps, or the shaker distorts
+        if plain.named or sound or linear:
             return plain
         if found.misfit > MISFIT and not gate.named:  # what such a law leaves is no linear structure either
             return merged(found, plain, (), nonlinear_signs(observations), observations)

@@ -185,6 +185,12 @@ def cost(made: Made, mechanism: str) -> float:
     return made.objective + PRICE * (n + (1 if mechanism == "hysteresis" else 0))
 
 
+IDLE = 0.8
+"""Part of the base's chi-square below which a law must come along the motion to be worth simulating,"""
+NOISY = 10.0
+"""where chi-square per value is above this."""
+
+
 @dataclass(frozen=True, eq=False)
 class Prospect:
     """What the recovered motion promises: the laws that were followed, best first, and the base they began from."""
@@ -200,6 +206,13 @@ class Prospect:
     def level(self) -> float:
         """Chi-square per value that the best law leaves."""
         return self.near[0].made.data_part / self.near[0].made.count
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether no law removes a fifth of what the base leaves, and that is far more than noise."""
+        best = self.near[0]
+        whole = self.base.objective * best.made.count / self.base.count
+        return best.cost > IDLE * whole and self.level > NOISY
 
     @property
     def nameless(self) -> bool:
