@@ -19,7 +19,7 @@ from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.study import Prospect, base_again, explore, of_known, refined, search
-from labnnum.diagnosis.nonlinear.suspect import FEW, back, finer, suspect, without
+from labnnum.diagnosis.nonlinear.suspect import FEW, back, explains, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -101,7 +101,7 @@ def answer(
         again = exploring([without(o, doubted) for o in train])
         lying = None if again is None else (doubted, again)
     else:
-        lying = suspect(train, seen, exploring) if not (whole or nearly) else None
+        lying = suspect(train, seen, exploring) if not (whole or nearly or (seen and explains(seen))) else None
     if lying is None and seen is not None and seen.hopeless and not nearly:
         return unsimulated(seen, train, test, scatter)
     if lying is not None and seen is not None and doubted is None:
