@@ -111,13 +111,34 @@ def _less_channel(recording: Recording, name: str) -> Recording:
 def drifted(engine: Engine, observations: Sequence[Observation]) -> Named | None:
     """Drift, if the runs change within themselves beyond their scatter; its size from the common frequency change."""
     ratios = [o.drift for o in observations if o.drift > 0]
-    if not ratios or float(np.median(ratios)) < CHANGED or _level_outweighs(observations):
+    if not ratios or float(np.median(ratios)) < CHANGED or _level_outweighs(observations) or _distorts(observations):
         return None
     sizes = [_stiffness_change(engine, o) for o in observations if o.drift_slope is not None]
     value, std = float(np.mean(sizes)), float(np.std(sizes) / np.sqrt(max(len(sizes), 1)) + 1e-6)
     parameter = Parameter("relative_change", 0.0, -1.0, 10.0)
     term = Term(Drift(), Place("global", "structure"), (parameter,), np.zeros((0, 1)))
     return Named(term, np.array([value]), np.array([std]), float(min(0.999, 1 - np.exp(-3 * (np.median(ratios) - 1)))))
+
+
+def _distorts(observations: Sequence[Observation]) -> bool:
+    """Whether two channels (one of one) distort far more than a change within the run can.
+
+    A response that changes by d over n periods holds, in the mean over periods, a ramp of d / n: on lines that were not
+    excited that leaves (d / n)^2 / 12 of the power on the others at most (the sum of a ramp's Fourier coefficients). A
+    structure whose distortion is beyond (d / n)^2 is nonlinear, and may well answer with periods that differ.
+    """
+    for o in observations:
+        periods = o.frf.n_averages
+        if o.drift_slope is None or not periods >= 1:
+            continue
+        step = 2 * np.linalg.norm(o.drift_slope.value, axis=(1, 2)) / np.linalg.norm(o.frf.value, axis=(1, 2)) / periods
+        far = np.zeros(step.size, bool)
+        for name in ("odd", "even"):
+            if name + "_over_noise" in o.distortion:
+                far |= (10 ** (o.distortion[name] / 10) > step**2) & (o.distortion[name + "_over_noise"] > LOUD_DB)
+        if np.count_nonzero(far) >= min(2, far.size):
+            return True
+    return False
 
 
 def _level_outweighs(observations: Sequence[Observation]) -> bool:

@@ -247,9 +247,10 @@ def _mode_lead(engine: Engine, profile: Profile, term: Term, data: Data, point: 
 
 
 def shortlist(leads: Sequence[Lead], n: int, counts: Mapping[str, int] | None = None) -> list[Lead]:
-    """At most `n` leads: the best of the best mechanisms, then the best of the rest, three a mechanism at most.
+    """The best of every mechanism, and up to `n` leads the best of the rest, three a mechanism at most.
 
     They are ranked by what they gain beyond their parameters, and beyond luck in as many terms as a mechanism has.
+    Scores are rough: the right mechanism may stand behind ten others, and only a fit tells.
     """
     counts = counts or {}
 
@@ -260,7 +261,7 @@ def shortlist(leads: Sequence[Lead], n: int, counts: Mapping[str, int] | None = 
     first: dict[str, Lead] = {}
     for lead in worth:
         first.setdefault(lead.term.mechanism.id, lead)
-    out = list(first.values())[: max(n - 2, n // 2)]
+    out = list(first.values())[: n - 2 if not counts else None]
     for lead in worth:
         if len(out) >= n:
             break

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.component import LAWS, Test, identify_component
-from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer
+from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.errors import FileError
 from labnnum.recording import Recording
 from labnnum.structures.modal import ModalStructure

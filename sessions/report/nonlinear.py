@@ -10,7 +10,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from labnnum.diagnosis import Diagnosis
-from labnnum.diagnosis.nonlinear.answer import KNOWN
+from labnnum.diagnosis.nonlinear.decision import KNOWN
 from labnnum.diagnosis.nonlinear.joined import Predicted, levels
 from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, svg
 from sessions.report.figures import RASTER_FROM as MANY

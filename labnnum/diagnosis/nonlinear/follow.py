@@ -96,6 +96,9 @@ class Followed(Joint):
             z, v, f = orbit.motion[:, 0].T
             through = []
             for i in range(n):
+                if not self.used[i]:
+                    through.append(np.zeros_like(change[0]))
+                    continue
                 step = np.zeros(N_P)
                 scale = self.scale[self.n_base + i]
                 step[i] = NUDGE * max(abs(p[i]), 1e-3 * scale)

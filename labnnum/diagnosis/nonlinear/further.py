@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, general_lead, law_leads, ranked, recover
-from labnnum.diagnosis.nonlinear.problem import Joint, Made, fit
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint, Made, fit
 from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.diagnosis.nonlinear.study import LAWS, Study, Tried, cost
 from labnnum.errors import EstimationError
@@ -22,7 +22,7 @@ GAIN = 0.1
 
 def further(
     study: Study, first: Tried, spots: Sequence[Spot], scatter: Scatter, alarm: float, lines: int = 250, *,
-    general: bool = False,
+    general: bool = False, promise: float = 0.1,
 ) -> Tried | None:  # fmt: skip
     """One more law beside those of `first`: the best that any spot's remaining force asks for, fitted with them.
 
@@ -30,6 +30,8 @@ def further(
     ----------
     general : bool
         Whether the general law is tried, instead of named ones, at the places that act already.
+    promise : float
+        Part of the excess over noise that a law must promise to remove along the recovered motion to be fitted.
 
     Returns
     -------
@@ -48,8 +50,10 @@ def further(
     for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
         leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
     excess = max(1.0, made.data_part / made.count)
-    least = max(alarm * excess, GAIN * (made.objective - made.count))
-    leads = sorted((lead for lead in leads if lead.gain > least), key=lambda lead: -lead.gain)
+    least = max(alarm * excess, promise * (made.objective - made.count))
+    leads = sorted(
+        (lead for lead in leads if lead.gain > least and not _again(lead, held)), key=lambda lead: -lead.gain
+    )
     best: Tried | None = None
     for lead in leads[: 1 if general else 2]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
@@ -70,6 +74,16 @@ def further(
     gain = (made.objective - best.cost) / excess
     left = max(made.objective - made.count, 1.0) / excess
     return best if gain > max(alarm, GAIN * left) else None
+
+
+MEMORY = ("stick-slip", "hysteresis", "coulomb-friction")
+"""Laws of which one contains another: a slider without a spring, with one, with its corners rounded."""
+
+
+def _again(lead: Lead, held: Sequence[Acting]) -> bool:
+    """Whether a law of the same kind acts at the lead's place already: two of them say that it is neither."""
+    here = [t.mechanism for t in held if np.array_equal(np.abs(t.column), np.abs(lead.spot.column))]
+    return lead.mechanism in here or (lead.mechanism in MEMORY and any(m in MEMORY for m in here))
 
 
 def _with_one_more(o: Orbit | None) -> Orbit | None:

@@ -18,7 +18,7 @@ from labnnum.diagnosis.nonlinear.study import Study, Tried, cost
 from labnnum.errors import EstimationError
 
 if TYPE_CHECKING:
-    from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer
+    from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
     from labnnum.diagnosis.observe import Observation
 
 ROOM = 1.2

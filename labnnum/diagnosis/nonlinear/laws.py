@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,11 +73,48 @@ def candidates(shape: LawShape, top: float) -> NDArray[np.float64]:
 
 def force_along(shape: LawShape, z: NDArray, v: NDArray, p: NDArray, around: bool = True) -> NDArray[np.float64]:
     """Opposing force along a motion z, v (n,), which comes around again or begins at rest."""
+    quick = _without_memory(shape.law, z, v, p)
+    if quick is not None:
+        return quick
     turns = 2 if around and shape.law in ("stick-slip", "hysteresis") else 1
     return along(shape.code, np.ascontiguousarray(z), np.ascontiguousarray(v), np.ascontiguousarray(p), turns)
 
 
+def _without_memory(law: str, z: NDArray, v: NDArray, p: NDArray) -> NDArray[np.float64] | None:
+    """Forces of the laws that follow from motion and speed alone, all samples at once; None for others."""
+    if law == "cubic":
+        return p[0] * z * z * z
+    if law == "quadratic":
+        return p[0] * z * z
+    if law == "quadratic-damping":
+        return p[0] * v * np.abs(v)
+    if law == "one-sided-gap":
+        return p[0] * np.maximum(z - p[1], 0.0)
+    if law == "clearance":
+        return p[0] * (z - np.clip(z, -p[1], p[1]))
+    if law == "general":
+        out = np.zeros_like(z)
+        for i in np.flatnonzero(p):
+            out += p[i] * TERMS[i](z, v)
+        return out
+    return None
+
+
+TERMS: tuple[Callable[[NDArray, NDArray], NDArray], ...] = (
+    lambda z, v: z * np.abs(z),
+    lambda z, v: z * z,
+    lambda z, v: z * z * z,
+    lambda z, v: (z * z) ** 2 * z,
+    lambda z, v: v * np.abs(v),
+    lambda z, v: v * v * v,
+    lambda z, v: z * z * v,
+    lambda z, v: np.abs(z) * v,
+    lambda z, v: z * v,
+    lambda z, v: v * v * z,
+)
+"""Terms of the general law."""
+
+
 def general_basis(z: NDArray, v: NDArray) -> NDArray[np.float64]:
     """z|z|, z^2, z^3, z^5, v|v|, v^3, z^2 v, |z| v, z v, v^2 z: a smooth law without memory, shape (10, n)."""
-    az, av = np.abs(z), np.abs(v)
-    return np.array([z * az, z * z, z**3, z**5, v * av, v**3, z * z * v, az * v, z * v, v * v * z])
+    return np.array([term(z, v) for term in TERMS])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,8 @@ class Recovered:
     receptance: dict[tuple[int, float, float], Receptance]
     gain: float = 0.0
     """What a law of motion and speed there removes of chi-square, see `ranked`."""
+    unnamed: tuple[Lead, ...] = ()
+    """The smooth laws of one term that have no name, see `ranked`."""
 
     @property
     def top(self) -> float:
@@ -214,9 +217,16 @@ ENDS = 0.1
 
 def window_of(run: Run, n: int, ends: bool = True) -> NDArray[np.float64]:
     """What the run's spectra are seen through, at n samples over its period; not `ends`: what they are taken with."""
-    if run.decay:
-        return np.exp(-run.decay * np.arange(n) * run.period / (n * run.rate))
-    return np.sin(np.pi * np.arange(n) / n) ** 2 if run.open and ends else np.ones(n)
+    return _window(n, run.decay * run.period / run.rate, run.open and ends)
+
+
+@lru_cache(maxsize=8)
+def _window(n: int, fall: float, hann: bool) -> NDArray[np.float64]:
+    """exp(-fall) at its end, or a Hann window, or none."""
+    x = np.arange(n) / n
+    out = np.sin(np.pi * x) ** 2 if hann else np.exp(-fall * x)
+    out.setflags(write=False)
+    return out
 
 
 def _unseen(run: Run, n: int) -> NDArray[np.float64]:
@@ -324,10 +334,30 @@ class _General:
             size = size[2:]
         return chosen, size, gain - self.scored([0, 1])[1]
 
+    def alone(self, spot: Spot) -> list[Lead]:
+        """Every term of `UNNAMED` by itself, best first."""
+        out, beside = [], self.scored([0, 1])[1]
+        for i in UNNAMED:
+            size, gain = self.scored([0, 1, i + 2])
+            p = np.zeros(N_P)
+            p[i] = size[2] / self.scale[i]
+            out.append(Lead(spot, "general", p, gain - beside))
+        return sorted(out, key=lambda lead: -lead.gain)
+
+
+UNNAMED = (0, 3, 5, 6, 7, 8, 9)
+"""Terms of the general law that are no law of the catalogue."""
+FOREMOST = 2
+"""Of them, those of each spot that compete with the named laws."""
+
 
 def ranked(background: Background, found: Sequence[Recovered]) -> list[Recovered]:
     """Spots by what the general law, dry friction among its terms, removes there; the best first."""
-    out = [replace(q, gain=_General(background, q, True).best(0.0, background.objective)[2]) for q in found]
+    out = []
+    for q in found:
+        general = _General(background, q, True)
+        gain = general.best(0.0, background.objective)[2]
+        out.append(replace(q, gain=gain, unnamed=tuple(general.alone(q.spot)[:FOREMOST])))
     return sorted(out, key=lambda q: -q.gain)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from labnnum.diagnosis.fit import Scatter
-from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer
+from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.study import FINE, LONG, Bench, Tried
 
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
-from labnnum.diagnosis.nonlinear.answer import KNOWN, UNCONFIRMED, USELESS, NonlinearAnswer, answer
+from labnnum.diagnosis.nonlinear.answer import answer
+from labnnum.diagnosis.nonlinear.decision import FOUND, KNOWN, MISFIT, UNCONFIRMED, USELESS, NonlinearAnswer
+from labnnum.diagnosis.nonlinear.detect import CHANGE
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -74,15 +76,27 @@ def nonlinear_first(
     found = answer(engine, train, test, places, scatter, limits, band, progress, usable, known, nearly)
     if found is None or found.reason == UNCONFIRMED:
         return None
-    if not found.named and found.reason != KNOWN:
+    if not found.named and found.reason != KNOWN and found.reason not in FOUND:
         plain = again(observations, held_out)  # what one linear mechanism explains needs no law that has no name
         periodic = all(o.run is not None for o in train)
         small = found.base_error[1] < max(limits.sound, 3 * found.noise)
-        sound = plain.verdict in ("consistent", "parameters") and (small if found.reason == USELESS else not periodic)
-        if plain.named or sound:
+        sound = plain.verdict in ("consistent", "parameters") and (
+            small if found.reason == USELESS else not (periodic or found.gained)
+        )
+        change = nonlinear_signs(observations)["level_dependence"]
+        linear = (
+            not found.gained and change is not None and change < CHANGE
+        )  # it rings, perhaps, or the shaker distorts
+        if plain.named or sound or linear:
             return plain
+        if found.misfit > MISFIT and not gate.named:  # what such a law leaves is no linear structure either
+            return merged(found, plain, (), nonlinear_signs(observations), observations)
+    if not found.linearised:
+        rest = again(observations, held_out, catalogue=())
+        return merged(found, rest, gate.named, nonlinear_signs(observations), observations)
     progress("searching for linear physics beside it")
-    explained = (bool(found.named) or found.reason == KNOWN) and found.misfit < EXPLAINED and found.lying is None
+    sure = bool(found.named) or found.reason in (KNOWN, *FOUND)
+    explained = sure and found.misfit < EXPLAINED and found.lying is None
     rest = again(found.linearised, found.linearised_held_out, **({"catalogue": ()} if explained else {}))
     if explained and rest.verdict not in ("consistent", "parameters"):
         rest = again(found.linearised, found.linearised_held_out)  # the law's errors excused what a channel has wrong

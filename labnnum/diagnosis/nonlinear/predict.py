@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.fit import Scatter
-from labnnum.diagnosis.nonlinear.answer import NonlinearAnswer
+from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run

@@ -45,6 +45,9 @@ class Acting:
         return len(self.shape.names)
 
 
+PASSIVE = 0.5
+"""Share of beta in a hysteretic law from which on no loop of it returns more than it took (Erlicher and Point 2004:
+gamma between -beta and beta); far below, the law is no loop but a spring that softens."""
 WARM = 3
 """Periods marched before Newton's method where nothing is known of the steady state."""
 EXACT = 80
@@ -143,7 +146,7 @@ class Joint:
             if t.shape.law in ("stick-slip", "clearance", "hysteresis"):
                 one_low[:2] = 1e-6 * s[:2]
             if t.shape.law == "hysteresis":
-                one_low[2:4], one_high[2:4] = (0.6, 0.02), (6.0, 1.0)
+                one_low[2:4], one_high[2:4] = (0.6, PASSIVE), (6.0, 1.0)
             if t.shape.law == "general":
                 unused = size == 0
                 one_low[unused], one_high[unused] = 0.0, 0.0
@@ -151,6 +154,7 @@ class Joint:
             high.append(one_high)
             scale.append(s)
         self.low, self.high, self.scale = np.concatenate(low), np.concatenate(high), np.concatenate(scale)
+        self.used = (self.high > self.low)[self.n_base :]
 
     # ---------------------------------------------------------------- pieces
 
@@ -264,6 +268,8 @@ class Joint:
             for j in range(t.n):
                 vary[at, i, j] = self.scale[self.n_base + at]
                 at += 1
+        vary = vary[self.used]
+        moving = np.append(np.ones(self.n_base, bool), self.used)
         out, new = [], []
         for run, lines, steady, orbit in zip(self.runs, self.lines, self.steady, orbits, strict=True):
             r, (dp, dh, dz, dg) = made[run.key], derived[run.key]
@@ -276,7 +282,9 @@ class Joint:
                 for c in range(self.k):
                     change = change + dh[:, :, c][..., here] * orbit.force[c, at]
                     through += r.h[:, c, here] * slope.force[:, c, None][..., here]
-                change = np.concatenate([change + through[: self.n_base], through[self.n_base :]])
+                every = np.zeros((moving.size, *change.shape[1:]), complex)
+                every[moving] = np.concatenate([change + through[: self.n_base], through[self.n_base :]])
+                change = every
             out.append(self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)))
             new.append(orbit)
         return np.concatenate(out, axis=-1), new

@@ -59,9 +59,15 @@ class Tried:
         """Its id."""
         return self.lead.mechanism
 
+    @property
+    def named(self) -> bool:
+        """Whether its law is one of the catalogue."""
+        return self.mechanism != "general"
+
     def same(self, other: Tried) -> bool:
         """Whether both are one answer."""
-        return self.mechanism == other.mechanism and self.spot.place == other.spot.place
+        same_terms = self.named or np.array_equal(self.lead.p != 0, other.lead.p != 0)
+        return self.mechanism == other.mechanism and self.spot.place == other.spot.place and same_terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +117,10 @@ class Bench:
         return self.follow(one.made.x[: one.made.n_base], of_fit(one), steps) or one
 
     def simulate(self, one: Tried, steps: int) -> Tried | None:
-        """A law that was followed, fitted by simulation."""
+        """A law that was followed, fitted by simulation: from its force along the motion, or else from nothing."""
         joint = self.joint([of_fit(one)])
-        return _tried(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
+        made = _tried(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
+        return made or _tried(joint, one.made.x, [None] * len(self.runs), one.lead, steps)
 
     def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int) -> Tried | None:
         """A law fitted by simulation from what the recovered motion promised, from several base vectors."""
@@ -178,6 +185,12 @@ def cost(made: Made, mechanism: str) -> float:
     return made.objective + PRICE * (n + (1 if mechanism == "hysteresis" else 0))
 
 
+IDLE = 0.8
+"""Part of the base's chi-square below which a law must come along the motion to be worth simulating,"""
+NOISY = 10.0
+"""where chi-square per value is above this."""
+
+
 @dataclass(frozen=True, eq=False)
 class Prospect:
     """What the recovered motion promises: the laws that were followed, best first, and the base they began from."""
@@ -194,10 +207,25 @@ class Prospect:
         """Chi-square per value that the best law leaves."""
         return self.near[0].made.data_part / self.near[0].made.count
 
+    @property
+    def hopeless(self) -> bool:
+        """Whether no law removes a fifth of what the base leaves, and that is far more than noise."""
+        best = self.near[0]
+        whole = self.base.objective * best.made.count / self.base.count
+        return best.cost > IDLE * whole and self.level > NOISY
+
+    @property
+    def nameless(self) -> bool:
+        """Whether a law without a name leaves so much less than every named one that no simulation can turn that."""
+        best = self.near[0]
+        others = [self.base.objective * best.made.count / self.base.count, *(t.cost for t in self.near if t.named)]
+        return not best.named and NEAR * best.cost < min(others)
+
 
 def explore(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
-    *, lines: int = LINES, carry_on: bool = True, progress: Callable[[str], None] = lambda text: None,
+    *, lines: int = LINES, carry_on: bool = True, unnamed: bool = True,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Prospect | None:  # fmt: skip
     """Fit the base, locate, regress, and follow the leads along the recovered motion.
 
@@ -210,6 +238,8 @@ def explore(
     spots : sequence of Spot
     carry_on : bool
         Whether all that came near after a few steps is followed to the end, or the nearest two only.
+    unnamed : bool
+        Whether smooth laws of one term that have no name compete with the named ones.
     """
     bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
     alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
@@ -218,13 +248,13 @@ def explore(
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
     progress("locating")
     nominal = engine_start(plain)
-    found, leads = looked(plain, calm.x, spots)
+    found, leads = looked(plain, calm.x, spots, unnamed)
     near: list[Tried] = []
     if leads:
         progress("following nonlinear laws along the motion")
         near = followed(bench, (calm.x, nominal), leads, carry_on)
     if calm.data_part > MISLED * calm.count and not (near and near[0].made.data_part < MISLED * near[0].made.count):
-        other, leads = looked(plain, nominal, spots)
+        other, leads = looked(plain, nominal, spots, unnamed)
         again = followed(bench, (nominal,), leads, carry_on) if leads else []
         if again and (not near or again[0].cost < near[0].cost):
             near, found = sorted([*again, *near], key=lambda t: t.cost), other
@@ -282,11 +312,16 @@ MISLED = 5.0
 """Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
 
 
-def looked(plain: Joint, x: NDArray, spots: Sequence[Spot]) -> tuple[list[Recovered], list[Lead]]:
+def looked(
+    plain: Joint, x: NDArray, spots: Sequence[Spot], unnamed: bool = False
+) -> tuple[list[Recovered], list[Lead]]:  # fmt: skip
     """Spots ranked by the forces recovered with the base at `x`, and what every law promises at the nearest."""
     background = Background(plain, x[: plain.n_base])
     found = ranked(background, [recover(plain, x, plain.point, s) for s in spots])
-    return found, [lead for q in nearest(found) for lead in law_leads(background, q, LAWS)]
+    leads = [lead for q in nearest(found) for lead in law_leads(background, q, LAWS)]
+    if unnamed:
+        leads += [lead for q in nearest(found) for lead in q.unnamed]
+    return found, leads
 
 
 def nearest(found: Sequence[Recovered]) -> list[Recovered]:
@@ -313,7 +348,13 @@ def engine_start(plain: Joint) -> NDArray[np.float64]:
 FAINT = 0.05
 """Part of the best lead's gain below which a lead is not followed."""
 QUICK, LONG = 3, 10
-"""Steps of a follow, and of those that came near."""
+"""Steps of a follow that begins well, and of those that came near."""
+PRIME = 2
+"""Places, by the best lead and by the best follow after one step, at which every law is carried on: a law with memory
+begins badly where a smooth one does well."""
+BRIEF = 12
+"""Follows, the best after one step, that are carried on however far behind; those that are carried on to the end at
+most; leads followed where a channel is left out."""
 NEAR = 3.0
 """Cost, of the least, below which a follow is carried on; and simulated."""
 
@@ -327,17 +368,29 @@ def followed(
     """
     top = max(lead.gain for lead in leads)
     some = [lead for lead in leads if lead.gain > FAINT * top and lead.mechanism != "hysteresis"]
-    first: list[Tried] = []
-    for lead in some:
-        made = [bench.follow(x, lead, QUICK) for x in starts]
-        first += sorted((t for t in made if t is not None), key=lambda t: t.cost)[:1]
-    first.sort(key=lambda t: t.cost)
-    if not first:
+    some.sort(key=lambda lead: -lead.gain)
+    begun: list[Tried] = []
+    for lead in some if carry_on else some[:BRIEF]:
+        made = [bench.follow(x, lead, 1) for x in starts]
+        begun += sorted((t for t in made if t is not None), key=lambda t: t.cost)[:1]
+    begun.sort(key=lambda t: t.cost)
+    if not begun:
         return []
+    prime = [*dict.fromkeys(t.spot.place for t in begun)][:PRIME]
+    prime += [*dict.fromkeys(lead.spot.place for lead in some)][:PRIME]
+    limit = NEAR * begun[0].cost
+    first = [
+        bench.follow_on(t, QUICK - 1) if i < BRIEF or t.cost < limit or t.spot.place in prime else t
+        for i, t in enumerate(begun)
+    ]
+    first.sort(key=lambda t: t.cost)
     if not carry_on:
         return sorted([*(bench.follow_on(t, LONG) for t in first[:2]), *first[2:]], key=lambda t: t.cost)
     limit = NEAR * first[0].cost
-    done = [bench.follow_on(t, LONG) if t.cost < limit else t for t in first]
+    done = [
+        bench.follow_on(t, LONG) if t.cost < limit and (i < BRIEF or t.spot.place in prime) else t
+        for i, t in enumerate(first)
+    ]
     done.sort(key=lambda t: t.cost)
     for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:
         smooth = _smooth(bench, t)
@@ -356,7 +409,9 @@ def _smooth(bench: Bench, slider: Tried) -> Tried | None:
 
 
 FRONT = 4
-"""Follows that are simulated, at most."""
+"""Follows that are simulated, at most,"""
+UNNAMED_FRONT = 2
+"""and of laws that have no name."""
 CLOSE = 1.5
 """Cost, of the least, below which a follow may turn out better when it is simulated."""
 
@@ -367,7 +422,10 @@ def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
     best = np.inf
     for t in near:
         enough = sum(o.simulated for o in out)
-        if enough >= FRONT or (enough and t.cost > CLOSE * min(best, near[0].cost) and t.cost > best):
+        alike = sum(o.simulated for o in out if o.named == t.named)
+        if alike >= (FRONT if t.named else UNNAMED_FRONT) or (
+            enough and t.cost > CLOSE * min(best, near[0].cost) and t.cost > best
+        ):
             out.append(t)
             continue
         one = bench.simulate(t, LONG)
@@ -426,7 +484,9 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
         return []
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines)
     limit = shown[0].cost * 3 + 1e3
-    done = [bench.carry_on(t, 4) for t in shown[:most] if t is shown[0] or t.cost < limit]
+    kept = [*shown[:most], *[t for t in shown if t.named][:1]]  # the best name too, to be told from what has none
+    kept = [t for i, t in enumerate(kept) if t not in kept[:i] and (t is shown[0] or t.cost < limit)]
+    done = [bench.carry_on(t, 4) for t in kept]
     best = min(done, key=lambda t: t.cost)
     sure = bench.carry_on(best, 2, always=True)
     done = [sure if t is best else t for t in done]

@@ -81,6 +81,17 @@ def suspect(
     return None if best is None or best[0] > TELLING * level else best[1:]
 
 
+def explains(seen: Prospect, most: int = 2) -> bool:
+    """Whether one of the `most` best laws explains all channels once it is simulated: there is no channel to suspect.
+
+    Along the recovered motion contacts and friction leave more than they do in a simulation.
+    """
+    if seen.level < POOR:
+        return True
+    made = [seen.bench.simulate(t, LONG) for t in seen.near[:most]]
+    return any(t is not None and t.made.data_part < POOR * t.made.count for t in made)
+
+
 def back(whole: Prospect, found: Prospect, most: int = 3) -> Prospect | None:
     """What was found without a channel followed with it, if it explains that channel as well; else None."""
     near = _again(whole.bench, found, most)

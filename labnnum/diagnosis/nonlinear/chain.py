@@ -1,0 +1,97 @@
+"""The laws of an answer: the best one against its rivals, then one more at a time while prediction gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
+from labnnum.diagnosis.nonlinear.further import further, needed
+from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.verdict import Limits
+
+PROMISE = 0.3
+"""Part of what the first law leaves beyond noise that a second must promise to remove: names need a fit near the noise,
+and of two laws the second must bring it there."""
+FURTHER = 0.97
+"""Part of the held-out error so far that one more law must bring it below."""
+
+
+def laws_of(
+    found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    limits: Limits, progress: Callable[[str], None], identified: bool = False,
+) -> list[Tried]:  # fmt: skip
+    """The chain that begins with the best named law, or the best law without a name where that leaves less.
+
+    A law of one term without a name competes as a named one does, but must lead by as much as tells two names apart:
+    catalogues hold what is common. Where it leaves no more than noise, no further laws are looked for.
+    """
+    named = [t for t in found.tried if t.named and t.simulated]
+    best = found.best
+    if best.named or not named:
+        return chain(found, every, train, test, scatter, limits, progress, identified) if best.named else [best]
+    excess = max(1.0, best.made.data_part / best.made.count)
+    ahead = (named[0].cost - best.cost) / excess > limits.name
+    if ahead and best.made.data_part < NOISE * best.made.count:
+        return [best]
+    rest = [t for t in found.tried if t is not named[0]]
+    laws = chain(replace(found, tried=(named[0], *rest)), every, train, test, scatter, limits, progress, identified)
+    last = laws[-1]
+    behind = last.cost * best.made.count / last.made.count - best.cost
+    return [best] if behind / excess > limits.name else laws
+
+
+NOISE = 1.3
+"""Chi-square per value below which a law leaves nothing for another one."""
+
+
+def chain(
+    found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    limits: Limits, progress: Callable[[str], None], identified: bool = False,
+) -> list[Tried]:  # fmt: skip
+    """The best law, then another while the prediction of held-out runs gains.
+
+    Laws that those found later make needless are taken out again. Where the base was `identified` a general law follows
+    at last, which takes up what such a base lacks; elsewhere it would only hide that the names are wrong.
+    """
+    laws = [found.best]
+    if laws[0].made.data_part < NOISE * laws[0].made.count:
+        return laws
+
+    def held_out(t: Tried) -> float:
+        joint, (x, orbits) = settled_on(found, t, train, test, scatter)
+        return errors_of(joint, x, orbits, len(train))[1]
+
+    error = held_out(laws[0])
+    refused = False
+    for general in (False, False, True) if identified else (False,):
+        if refused and not general:
+            continue
+        progress(f"looking for nonlinear law {len(laws) + 1}")
+        promise = 0.1 if identified else PROMISE
+        more = further(found, laws[-1], every, scatter, limits.further, general=general, promise=promise)
+        told = held_out(more) if more is not None else np.inf
+        if more is None or told > FURTHER * error:
+            refused = True
+            continue
+        laws.append(more)
+        error = told
+    return needed(found, laws, scatter, limits.further) if len(laws) > 1 else laws
+
+
+def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
+    """The winning law at the spots that explain the distortion next best."""
+    best = found.best
+    have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
+    own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
+    near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
+    return at_places(found, best, near[:3], scatter)
+
+
+RIVAL = 0.8
+"""Part of what a general law removes at the best place that it must remove at another for the law to be tried there."""

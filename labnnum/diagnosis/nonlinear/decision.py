@@ -1,0 +1,264 @@
+"""What the fits mean: a name and its place, or an abstention with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
+from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
+from labnnum.diagnosis.nonlinear.problem import Made
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.scales import scale_std
+from labnnum.diagnosis.nonlinear.shown import Curve, curves
+from labnnum.diagnosis.nonlinear.study import Prospect, Study, Tried
+from labnnum.diagnosis.nonlinear.suspect import heard
+from labnnum.diagnosis.nonlinear.timing import Timed, told
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.verdict import Alternative, Limits, Named
+from labnnum.mechanisms import CATALOGUE
+from labnnum.mechanisms.base import Place
+from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+
+UNCONFIRMED = "no nonlinear law gains more than a sound structure's scatter"
+"""Signs without a law: a converter's steps and a shaker's harmonics repeat every period as well."""
+
+KNOWN = "the laws that the model holds explain the change with level"
+"""The reason where nothing is missing."""
+
+MECHANISMS = {m.id: m for m in CATALOGUE if isinstance(m, NonlinearMechanism)}
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearAnswer:
+    """What the nonlinear signs mean.
+
+    `named` is empty where no law of the catalogue explains them; `place` is then where something acts. Errors are
+    relative RMS of the response spectra on all lines of the band, over (training, held-out) runs. `linearised` are
+    the observations with the law's share taken out of their FRFs; there are none where nothing was simulated.
+    """
+
+    named: tuple[Named, ...]
+    place: Place | None
+    alternatives: tuple[Alternative, ...]
+    located: tuple[tuple[Place, float], ...]
+    base_error: tuple[float, float]
+    extended_error: tuple[float, float]
+    reason: str
+    linearised: tuple[Observation, ...]
+    linearised_held_out: tuple[Observation, ...]
+    curves: tuple[Curve, ...]
+    study: Study
+    laws: tuple[Tried, ...]
+    misfit: float
+    base_x: NDArray[np.float64]
+    """Vector of the base model that errors are compared with: fitted to all runs, an identified one to the quietest."""
+    noise: float = 0.0
+    """Relative RMS that noise alone leaves of the responses held out."""
+    gained: bool = True
+    """Whether the laws leave less than half of what the base does: something nonlinear is there, named or not."""
+    orbits: tuple[Any, ...] = ()
+    """Steady states of the last fit, of training runs and of those held out."""
+    lying: int | None = None
+    """Number of a response that was left out, because a law explains the others far better without it."""
+    held_out: tuple[Run, ...] = ()
+    scatter: Scatter = field(default_factory=Scatter)
+
+
+NAMELESS = "a smooth law that the catalogue does not hold explains it best"
+GENERAL = "a general law of motion and speed explains far more than any named one"
+EQUAL = "two nonlinear laws explain it equally well"
+NOTHING = "what the best nonlinear law leaves is far more than noise"
+FOUND = (NAMELESS, GENERAL)
+"""Reasons for which nothing is named although nonlinear physics is certain, and at its place."""
+USELESS = "the best nonlinear law does not improve the prediction of data held out"
+"""The reason where distortion stands above the noise, and no law helps to predict."""
+GAINS = 0.9
+"""Part of the base's held-out error below which a law must bring it, however near the noise that is."""
+
+
+def decide(
+    found: Study, laws: Sequence[Tried], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    limits: Limits, whole: Sequence[Observation] = (), enough: float = 0.1, timed: Sequence[Timed] = (),
+) -> NonlinearAnswer:  # fmt: skip
+    """The answer that the fits allow: named laws, or a place and the reason why nothing is named there.
+
+    Parameters
+    ----------
+    found : Study
+    laws : sequence of Tried
+        The chain, best first; the last one's fit holds all of them.
+    whole : sequence of Observation
+        Originals of hits, noise and sweeps.
+    enough : float
+        Part of the base's held-out error that excuses what the laws leave.
+    timed : sequence of Timed
+        Places by the time at which distortion comes.
+    """
+    best, base, last = laws[0], found.base, laws[-1]
+    excess = max(1.0, best.made.data_part / best.made.count)
+    rivals = [t for t in found.tried if t.named and not t.same(best)]
+    equals = [t.cost for t in rivals if t.simulated and not _only_smoother(t, best)]
+    lead = (min(equals) - best.cost) / excess if equals else np.inf
+    total = (base.objective * best.made.count / base.count - best.made.objective) / excess
+    misfit = last.made.data_part / last.made.count
+    general = _level(found.general, last) if found.general is not None else np.inf
+    behind = (last.cost - general) / max(1.0, misfit)
+    left = (last.made.data_part - last.made.count) / max(1.0, misfit)
+    joint, made = settled_on(found, last, train, test, scatter)
+    x, orbits = made
+    plain = found.base.x if enough == NEARLY else found.quiet.x
+    base_error = base_errors(found, train, test, plain, scatter)
+    extended_error = errors_of(joint, x, orbits, len(train))
+    nearly = extended_error[1] < enough * base_error[1]
+    reason = ""
+    noise = noise_of(test or train)
+    if total < limits.alarm and base_error[1] < max(limits.sound, 3 * noise):
+        reason = UNCONFIRMED
+    elif misfit > MISFIT and not nearly:
+        reason = NOTHING
+    elif not best.named:
+        reason = NAMELESS
+    elif behind > max(limits.alarm, HALF * left) and not (nearly and enough > NEARLY):
+        reason = GENERAL
+    elif lead < limits.name:
+        reason = EQUAL
+    sure = not reason or reason in (*FOUND, EQUAL)
+    if sure and extended_error[1] > limits.improve * base_error[1] and extended_error[1] > 3 * noise:
+        reason = USELESS
+    if sure and extended_error[1] > GAINS * base_error[1]:
+        reason = USELESS
+    if not reason and len({(t.mechanism, t.spot.place) for t in laws if t.mechanism in MECHANISMS}) > MOST:
+        reason = "it takes more than two named laws, which may stand for one that has no name"
+    if max(base_error) < scatter.floor:
+        reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
+    named = () if reason else _all_named(found, laws, rivals, scatter)
+    place = best.spot.place
+    if reason and found.general is not None and general < _level(best, last):
+        place = found.general.spot.place
+    poor = min(general, _level(best, last)) > LITTLE * _level_of(base, last)
+    if reason and poor and any(r.quiet.any() for r in found.runs):
+        place = max(found.recovered, key=lambda q: q.share).spot.place  # no law says anything; the distortion does
+    if whole:
+        linear, n_train = linearised_records(found, last.made, whole, scatter), len(whole)
+    else:
+        linear, n_train = linearised(found, last.made, orbits, (*train, *test), scatter), len(train)
+    gained = misfit < HALF * base.data_part / base.count and reason not in (UNCONFIRMED, USELESS)
+    alternatives = _alternatives(best, rivals, limits)
+    located = _located(found)
+    if told(timed, limits):
+        located = tuple((t.spot.place, t.share) for t in timed[:10])
+    return NonlinearAnswer(
+        named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
+        tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
+        noise, gained, tuple(orbits), held_out=tuple(o.run for o in test if o.run is not None), scatter=scatter,
+    )  # fmt: skip
+
+
+def unsimulated(
+    seen: Prospect, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter
+) -> NonlinearAnswer:  # fmt: skip
+    """The answer that the fits along the motion give alone.
+
+    Either a law without a name is so far ahead that no simulation can turn that, or no law says anything; the place is
+    then where a force explains most of the distortion.
+    """
+    best, bench = seen.near[0], seen.bench
+    tried = tuple(replace(t, simulated=False) for t in seen.near)
+    found = Study(bench.engine, bench.point, bench.runs, seen.base, seen.calm, tried, None, seen.recovered)
+    error = base_errors(found, train, test, seen.base.x, scatter)
+    rivals = [t for t in tried if t.named]
+    place = best.spot.place if seen.nameless else max(seen.recovered, key=lambda q: q.share).spot.place
+    return NonlinearAnswer(
+        (), place, _alternatives(best, rivals, Limits()), _located(found), error, error,
+        NAMELESS if seen.nameless else NOTHING, (), (), curves(found, best), found, (best,), seen.level, seen.base.x,
+        noise_of(test or train), seen.nameless, held_out=tuple(o.run for o in test if o.run is not None),
+        scatter=scatter,
+    )  # fmt: skip
+
+
+def _only_smoother(t: Tried, best: Tried) -> bool:
+    """Whether a law is the best one with its corners rounded, which explains no less: the simpler is preferred."""
+    return t.mechanism == "hysteresis" and best.mechanism == "stick-slip" and t.spot.place == best.spot.place
+
+
+def _level(t: Tried, other: Tried) -> float:
+    """Cost of a fit, raised to as many values as the other's."""
+    return t.cost * other.made.count / t.made.count
+
+
+def _level_of(base: Made, other: Tried) -> float:
+    """The same of the base."""
+    return base.objective * other.made.count / base.count
+
+
+HALF = 0.5
+"""Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
+MOST = 2
+"""Different laws, or places, that are named together."""
+LITTLE = 0.3
+"""Part of the base's objective above which a fit that has no name says nothing of the place."""
+MISFIT = 3.0
+"""Chi-square per value above which nothing is called explained,"""
+NEARLY = 0.1
+"""unless the held-out error falls to this of the base's: what is left is then a small correction to the law."""
+
+
+def _all_named(
+    found: Study, laws: Sequence[Tried], rivals: Sequence[Tried], scatter: Scatter
+) -> tuple[Named, ...]:  # fmt: skip
+    """Every named law of the chain, its parameters from the last fit; a general one has no name.
+
+    Standard deviations grow with what the fit leaves, and hold what common scales leave open (`scales`).
+    """
+    last = laws[-1].made
+    excess = max(1.0, last.data_part / last.count)
+    based, n_out = found.engine.is_base, int(np.count_nonzero(heard(found.runs[0])))
+    out = []
+    for i, t in enumerate(laws):
+        if not t.named:
+            continue
+        mechanism = MECHANISMS[t.mechanism]
+        value, std = last.law(i)
+        n = len(mechanism.names)
+        term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
+        trust = _confidence(laws[0], rivals) if i == 0 else 0.95
+        common = scale_std(mechanism.units, value[:n], scatter, max(n_out, 1), based)
+        out.append(Named(term, value[:n], np.hypot(std[:n] * np.sqrt(excess), common), trust))
+    return tuple(out)
+
+
+def _confidence(best: Tried, rivals: Sequence[Tried]) -> float:
+    excess = max(1.0, best.made.data_part / best.made.count)
+    weights = np.exp(-np.clip([(t.cost - best.cost) / excess / 2 for t in rivals], 0, 700)) if rivals else np.zeros(0)
+    return float(1.0 / (1.0 + weights.sum()))
+
+
+def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple[Alternative, ...]:
+    out = []
+    for t in sorted(rivals, key=lambda t: t.cost)[:6]:
+        gap = t.cost - best.cost
+        name = f"{best.mechanism} at {best.spot.place}"
+        equal = gap < limits.name
+        why = f"explains as well as {name} (chi-square + {gap:.1f})" if equal else f"leaves {gap:.0f} more than {name}"
+        mechanism = MECHANISMS[t.mechanism]
+        term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
+        out.append(Alternative(term, float("nan"), t.cost, why))
+    return tuple(out)
+
+
+def _located(found: Study) -> tuple[tuple[Place, float], ...]:
+    """Places by the share of the distortion that a force there explains; a fitted law's place first."""
+    shares: dict[Place, float] = {}
+    for q in found.recovered:
+        shares[q.spot.place] = max(shares.get(q.spot.place, 0.0), q.share)
+    total = found.base.objective
+    for t in found.tried:
+        gain = max(total - t.made.objective, 0.0) / total
+        shares[t.spot.place] = max(shares.get(t.spot.place, 0.0), gain)
+    return tuple(sorted(shares.items(), key=lambda row: -row[1])[:10])

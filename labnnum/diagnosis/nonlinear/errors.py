@@ -1,0 +1,84 @@
+"""Relative errors of a fit over training and held-out runs, and the noise that no model can explain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
+from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.problem import Joint
+from labnnum.diagnosis.nonlinear.steady import Orbit
+from labnnum.diagnosis.nonlinear.study import Study, Tried
+from labnnum.diagnosis.nonlinear.suspect import heard
+from labnnum.diagnosis.observe import Observation
+
+
+def noise_of(observations: Sequence[Observation]) -> float:
+    """Relative RMS that noise alone leaves of the responses that are believed."""
+    parts = []
+    for o in observations:
+        assert o.run is not None
+        at, known = o.run.compared, heard(o.run)
+        ratio = np.sum(o.run.noise[:, at], axis=1) / np.sum(np.abs(o.run.seen(o.run.y)[:, at]) ** 2, axis=1)
+        parts.append(np.mean(ratio[known]))
+    return float(np.sqrt(np.mean(parts)))
+
+
+def settled_on(
+    found: Study, best: Tried, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter
+) -> tuple[Joint, tuple[NDArray, list[Any]]]:
+    """The best law's steady states on training and held-out runs."""
+    runs = [o.run for o in (*train, *test) if o.run is not None]
+    joint = Joint(
+        found.engine, found.point, runs, best.made.terms, scatter, [choose_lines(r, 300, scatter.floor) for r in runs]
+    )
+    known = list(best.made.orbits)
+    start = [*known, *_begun(joint, best.made.x, len(known))]
+    return joint, (best.made.x, joint.settle(best.made.x, start, 12))
+
+
+def _begun(joint: Joint, x: NDArray, first: int) -> list[Orbit | None]:
+    """Where the march over the runs from `first` on begins: at the law's force along the motion that they show.
+
+    A law that softens or sticks may have other steady states, to which a march from nothing would go. Of several laws
+    at once nothing is known beforehand.
+    """
+    rest = joint.runs[first:]
+    if joint.k != 1 or not rest:
+        return [None] * len(rest)
+    shown = Followed(joint.engine, joint.point, rest, joint.terms[0], joint.scatter, joint.lines[first:])
+    orbits = shown.settle(x, [None] * len(rest), 0)
+    marched = marched_from(joint, x, [*([None] * first), *orbits])[first:]
+    kept = [None if o is None or not np.isfinite(o.time).all() else o for o in marched]
+    return kept if all(r.lasting for r in rest) else [None] * len(rest)
+
+
+def base_errors(
+    found: Study, train: Sequence[Observation], test: Sequence[Observation], x: NDArray, scatter: Scatter
+) -> tuple[float, float]:
+    """Of the base model alone, at the vector `x`."""
+    runs = [o.run for o in (*train, *test) if o.run is not None]
+    joint = Joint(found.engine, found.point, runs, (), scatter, [choose_lines(r, 300, scatter.floor) for r in runs])
+    return errors_of(joint, x, [None] * len(runs), len(train))
+
+
+def errors_of(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) -> tuple[float, float]:
+    """Relative RMS errors over training and held-out runs; sensors' ordinary errors are taken from the training."""
+    r, b = joint.parts(x, orbits)
+    cuts = np.cumsum([2 * lines.at.size for lines in joint.lines])
+    own = slice(0, cuts[n_train - 1])
+    gram = np.matmul(b[..., own], b[..., own].transpose(0, 2, 1)) + np.eye(b.shape[1])
+    size = np.linalg.solve(gram, np.matmul(b[..., own], r[:, own, None]))
+    left = r - np.matmul(b.transpose(0, 2, 1), size)[..., 0]
+    each = []
+    for run, lines, part in zip(joint.runs, joint.lines, np.split(left, cuts[:-1], axis=1), strict=True):
+        spread = np.tile(lines.sigma, 2) / np.sqrt(2.0)
+        power = np.sum(np.abs(run.seen(run.y)[:, lines.at]) ** 2, axis=1)
+        each.append(np.mean((np.sum((part * spread) ** 2, axis=1) / power)[heard(run)]))
+    train, test = each[:n_train], each[n_train:] or each[:n_train]
+    return float(np.sqrt(np.mean(train))), float(np.sqrt(np.mean(test)))
