@@ -30,16 +30,16 @@ def improves(
     """
     if extended_error <= limits.improve**n * base_error:
         return True
-    if foretells(score, limits.improve**n, limits) and extended_error <= 1.05 * base_error:
+    if foretells(score, limits.improve_further**n, limits, base_error) and extended_error <= 1.05 * base_error:
         return True
     base, final = selection.chain[0].fit, selection.chain[-1].fit
     evident = base.objective > limits.misfit * 2 * data.value.size and settled(final, data, limits)
     return evident and extended_error <= 1.05 * base_error
 
 
-def foretells(score: tuple[float, float], part: float, limits: Limits) -> bool:
-    """Whether the chi-square of held-out data falls to `part` of what it was, and by more than chance."""
-    return score[1] <= part * score[0] and score[0] - score[1] >= limits.alarm
+def foretells(score: tuple[float, float], part: float, limits: Limits, error: float) -> bool:
+    """Whether the chi-square of held-out data falls to `part` of what it was, and by as much as alarms."""
+    return score[1] <= part * score[0] and score[0] - score[1] >= limits.alarm * max(1.0, limits.plain / error)
 
 
 def one_law(
@@ -133,7 +133,7 @@ def missing(
     score: tuple[float, float],
 ) -> bool:  # fmt: skip
     """Whether something is missing though it has no name: the base is far off, or some extension predicts better."""
-    if foretells(score, limits.doubt, limits):
+    if foretells(score, limits.doubt, limits, base_error[1]):
         return True
     if measured and selection.chain[0].fit.objective > limits.misfit * 2 * data.value.size:
         return True
