@@ -2,6 +2,7 @@
 
 import json
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -153,7 +154,7 @@ def test_a_sensor_the_model_lacks_is_named(tmp_path):
 
 
 def test_a_candidate_that_was_fitted_after_its_stage_has_a_share_too():
-    def candidate(name, cost):
+    def candidate(name, cost) -> Any:
         return SimpleNamespace(last=SimpleNamespace(mechanism=SimpleNamespace(id=name), place="1"), cost=cost)
 
     stage = [candidate("added-mass", 10.0), candidate("local-dashpot", 12.0)]
