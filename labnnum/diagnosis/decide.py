@@ -188,7 +188,8 @@ def _confidence(stage: Sequence[Candidate], best: Candidate) -> float:
     for c in stage:
         key = (c.last.mechanism.id, c.last.place)
         answers[key] = min(answers.get(key, np.inf), c.cost)
-    mine = answers[(best.last.mechanism.id, best.last.place)]
+    key = (best.last.mechanism.id, best.last.place)
+    mine = answers[key] = min(answers.get(key, np.inf), best.cost)  # it may have been fitted after the stage
     weights = np.exp(-np.clip((np.array(list(answers.values())) - mine) / 2, -50, 700))
     return float(1.0 / weights.sum())
 

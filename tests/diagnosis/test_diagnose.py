@@ -1,11 +1,14 @@
 """Diagnosis of concealed cases as a user would run it: a sample of `labnnum prove linear`."""
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from labnnum.diagnosis import observe, observe_all
+from labnnum.diagnosis.decide import _confidence
 from labnnum.diagnosis.gates import clipped_channel
 from labnnum.diagnosis.observe import clipping, is_hit, noise_from_smoothness
 from labnnum.errors import InputError
@@ -159,3 +162,12 @@ def test_a_sensor_the_model_lacks_is_named(tmp_path):
     with pytest.raises(InputError, match="x"):
         diagnose_files(paths, tmp_path / "model.toml", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_candidate_that_was_fitted_after_its_stage_has_a_share_too():
+    def candidate(name, cost) -> Any:
+        return SimpleNamespace(last=SimpleNamespace(mechanism=SimpleNamespace(id=name), place="1"), cost=cost)
+
+    stage = [candidate("added-mass", 10.0), candidate("local-dashpot", 12.0)]
+    assert _confidence(stage, stage[0]) == pytest.approx(1 / (1 + np.exp(-1)))
+    assert _confidence(stage, candidate("joint-stiffness", 8.0)) == pytest.approx(1 / (1 + np.exp(-1) + np.exp(-2)))
