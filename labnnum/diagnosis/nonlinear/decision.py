@@ -97,7 +97,8 @@ def decide(
     timed : sequence of Timed
         Places by the time at which distortion comes.
     """
-    best, base, last = laws[0], found.base, laws[-1]
+    best = next((t for t in found.tried if t.same(laws[0])), laws[0])  # before more records were fitted
+    base, last = found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if t.named and not t.same(best)]
     equals = [t.cost for t in rivals if t.simulated and not _only_smoother(t, best)]
