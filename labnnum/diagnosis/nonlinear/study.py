@@ -411,7 +411,9 @@ def _smooth(bench: Bench, slider: Tried) -> Tried | None:
 FRONT = 4
 """Follows that are simulated, at most,"""
 UNNAMED_FRONT = 2
-"""and of laws that have no name."""
+"""and of laws that have no name;"""
+FAR_FRONT = (2, 1)
+"""the same where none comes near the noise."""
 CLOSE = 1.5
 """Cost, of the least, below which a follow may turn out better when it is simulated."""
 
@@ -420,10 +422,12 @@ def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
     """The follows that came nearest fitted by simulation, then the others as they are."""
     out: list[Tried] = []
     best = np.inf
+    far = near[0].made.data_part > NOISY * near[0].made.count
+    most = FAR_FRONT if far else (FRONT, UNNAMED_FRONT)
     for t in near:
         enough = sum(o.simulated for o in out)
         alike = sum(o.simulated for o in out if o.named == t.named)
-        if alike >= (FRONT if t.named else UNNAMED_FRONT) or (
+        if alike >= most[0 if t.named else 1] or (
             enough and t.cost > CLOSE * min(best, near[0].cost) and t.cost > best
         ):
             out.append(t)
