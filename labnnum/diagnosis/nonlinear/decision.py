@@ -97,7 +97,8 @@ def decide(
     timed : sequence of Timed
         Places by the time at which distortion comes.
     """
-    best = next((t for t in found.tried if t.same(laws[0])), laws[0])  # before more records were fitted
+    named = next((t for t in found.tried if t.named and t.simulated), laws[0])
+    best = named if laws[0].named else laws[0]  # the best law alone; a chain may have put another first
     base, last = found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if t.named and not t.same(best)]
@@ -135,7 +136,7 @@ def decide(
         reason = "it takes more than two named laws, which may stand for one that has no name"
     if max(base_error) < scatter.floor:
         reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
-    named = () if reason else _all_named(found, laws, rivals, scatter)
+    names = () if reason else _all_named(found, laws, rivals, scatter)
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
@@ -152,7 +153,7 @@ def decide(
     if told(timed, limits):
         located = tuple((t.spot.place, t.share) for t in timed[:10])
     return NonlinearAnswer(
-        named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
+        names, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
         noise, gained, tuple(orbits),
     )  # fmt: skip
