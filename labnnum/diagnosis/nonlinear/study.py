@@ -349,6 +349,10 @@ FAINT = 0.05
 """Part of the best lead's gain below which a lead is not followed."""
 QUICK, LONG = 3, 10
 """Steps of a follow that begins well, and of those that came near."""
+SLOW = ("stick-slip", "coulomb-friction")
+"""Laws that come near late."""
+BEATEN = 10.0
+"""Cost, of the least so far, above which a follow is not carried on."""
 PRIME = 2
 """Places, by the best lead and by the best follow after one step, at which every law is carried on: a law with memory
 begins badly where a smooth one does well."""
@@ -387,10 +391,14 @@ def followed(
     if not carry_on:
         return sorted([*(bench.follow_on(t, LONG) for t in first[:2]), *first[2:]], key=lambda t: t.cost)
     limit = NEAR * first[0].cost
-    done = [
-        bench.follow_on(t, LONG) if t.cost < limit and (i < BRIEF or t.spot.place in prime) else t
-        for i, t in enumerate(first)
-    ]
+    done: list[Tried] = []
+    best = np.inf
+    for i, t in enumerate(first):
+        slow = t.spot.place in prime and t.mechanism in SLOW
+        if t.cost < min(limit, BEATEN * best) and (i < BRIEF or slow):
+            t = bench.follow_on(t, LONG)
+        best = min(best, t.cost)
+        done.append(t)
     done.sort(key=lambda t: t.cost)
     for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:
         smooth = _smooth(bench, t)
