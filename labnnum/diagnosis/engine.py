@@ -60,6 +60,8 @@ class Engine:
         low, high = band
         self.keep = first.omega.size
         self.rigid_modes = int(np.count_nonzero(first.omega < 1e-6 * max(first.omega.max(), 1e-300)))
+        self.n_law = 2 if 0 < self.rigid_modes < first.omega.size else 1
+        self.elastic = float(first.omega[self.rigid_modes]) if self.n_law == 2 else 0.0
         inside = (first.omega > 0.6 * low) & (first.omega < NEAR * high)
         inside[: self.rigid_modes] = False
         if not inside.any():
@@ -223,7 +225,9 @@ class Engine:
         n = sum(t.n for t in terms)
         p = np.asarray(p, float) if len(p) else np.zeros(n)
         m = self.band_modes.size
-        return Point(self.theta0.copy(), p, np.zeros(m), np.log(self.zeta0[self.band_modes]), np.zeros(m), np.zeros(1))
+        return Point(
+            self.theta0.copy(), p, np.zeros(m), np.log(self.zeta0[self.band_modes]), np.zeros(m), np.zeros(self.n_law)
+        )
 
     def site(self, free_nodes: Sequence[str], elements: Sequence[tuple[str, str]], supports: Sequence[str]) -> Site:
         """What mechanisms need to know, at the nominal parameters."""

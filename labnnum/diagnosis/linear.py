@@ -222,6 +222,7 @@ def select(
             law = laws[0] if laws else None
             if law is not None and found[0].cost - law.cost > limits.name:
                 found = _among(found, _told_by(task, terms, chain[0], law))
+                stages[-1] = tuple(found)
             for c in [*found, *laws]:
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)

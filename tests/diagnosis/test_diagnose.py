@@ -56,7 +56,9 @@ def test_a_gross_fault_is_named_where_it_is(tmp_path, fault, severity, verdict):
     assert abs(stated["value"] - true["value"]) < max(0.1 * abs(true["value"]), 4 * stated["std"])
 
 
-@pytest.mark.parametrize(("structure", "fault"), [("chain", "misplaced-sensor"), ("base-beam", "rocking-base")])
+@pytest.mark.parametrize(
+    ("structure", "fault"), [("chain", "misplaced-sensor"), ("base-beam", "rocking-base"), ("free-beam", "crosstalk")]
+)
 def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault):
     truth, content = diagnosed(tmp_path, 2, structure, fault, 0.9)
     (concealed,) = truth["faults"]
@@ -64,6 +66,15 @@ def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault):
     assert content["mechanism"] is None
     assert same_place(content["place"], concealed)
     assert same_place(content["located"][0]["place"], concealed)
+
+
+def test_a_spring_that_holds_a_free_body_is_named(tmp_path):
+    """The resonance that it makes of a rigid-body motion has no damping ratio of the structure's."""
+    truth, content = diagnosed(tmp_path, 2, "free-beam", "ground-stiffness", 0.8)
+    assert content["mechanism"]["id"] == "ground-stiffness"
+    assert same_place(content["place"], truth["faults"][0])
+    (stated,) = content["mechanism"]["parameters"].values()
+    assert stated["value"] == pytest.approx(truth["faults"][0]["parameters"]["k"]["value"], rel=0.03)
 
 
 def test_files_of_an_answer(tmp_path):

@@ -12,18 +12,20 @@ from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
 from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide, unsimulated
 from labnnum.diagnosis.nonlinear.detect import signs
+from labnnum.diagnosis.nonlinear.explore import Prospect, explore
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
 from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import Prospect, base_again, explore, of_known, refined, search
+from labnnum.diagnosis.nonlinear.study import base_again, of_known, refined, search
 from labnnum.diagnosis.nonlinear.suspect import FEW, back, explains, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.verdict import Limits
+from labnnum.structures.modal import ModalStructure
 
 
 def answer(
@@ -50,6 +52,7 @@ def answer(
     doubted : int, optional
         Number of a response of periodic runs that is left out.
     """
+    identified = isinstance(engine.structure, ModalStructure)
     train = sorted((o for o in train if o.run is not None), key=lambda o: o.level)
     test = sorted((o for o in test if o.run is not None), key=lambda o: o.level)
     runs = [o.run for o in train if o.run is not None]
@@ -90,10 +93,10 @@ def answer(
             scatter,
             lines=FEW,
             carry_on=False,
-            unnamed=not nearly,
+            unnamed=not identified,
         )
 
-    seen = explore(engine, point, runs, i, every, scatter, unnamed=not nearly, progress=progress)
+    seen = explore(engine, point, runs, i, every, scatter, unnamed=not identified, progress=progress)
     if seen is not None and doubted is None and seen.nameless:
         return unsimulated(seen, train, test, scatter)
     believed: tuple[Observation, ...] = ()
@@ -102,7 +105,7 @@ def answer(
         lying = None if again is None else (doubted, again)
     else:
         lying = suspect(train, seen, exploring) if not (whole or nearly or (seen and explains(seen))) else None
-    if lying is None and seen is not None and seen.hopeless and not nearly:
+    if lying is None and seen is not None and seen.hopeless and not identified:
         return unsimulated(seen, train, test, scatter)
     if lying is not None and seen is not None and doubted is None:
         whole_again = back(seen, lying[1])
@@ -121,7 +124,7 @@ def answer(
     if not tried:
         return None
     found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
-    laws = laws_of(found, every, train, test, scatter, limits, progress, nearly > 0)
+    laws = laws_of(found, every, train, test, scatter, limits, progress, identified)
     more = records(others, span, runs[0].miss) if nearly and not whole else []
     if more:
         progress("fitting records that are not periodic")

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.further import further, needed
 from labnnum.diagnosis.nonlinear.locate import Spot
-from labnnum.diagnosis.nonlinear.study import Study, Tried, at_places
+from labnnum.diagnosis.nonlinear.study import at_places
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Limits
 

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
+from labnnum.diagnosis.nonlinear.explore import Prospect
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.problem import Made
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import scale_std
 from labnnum.diagnosis.nonlinear.shown import Curve, curves
-from labnnum.diagnosis.nonlinear.study import Prospect, Study, Tried
 from labnnum.diagnosis.nonlinear.suspect import heard
 from labnnum.diagnosis.nonlinear.timing import Timed, told
 from labnnum.diagnosis.observe import Observation
@@ -100,7 +101,9 @@ def decide(
     timed : sequence of Timed
         Places by the time at which distortion comes.
     """
-    best, base, last = laws[0], found.base, laws[-1]
+    named = next((t for t in found.tried if t.named and t.simulated), laws[0])
+    best = named if laws[0].named else laws[0]  # the best law alone; a chain may have put another first
+    base, last = found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if t.named and not t.same(best)]
     equals = [t.cost for t in rivals if t.simulated and not _only_smoother(t, best)]
@@ -137,7 +140,7 @@ def decide(
         reason = "it takes more than two named laws, which may stand for one that has no name"
     if max(base_error) < scatter.floor:
         reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
-    named = () if reason else _all_named(found, laws, rivals, scatter)
+    names = () if reason else _all_named(found, laws, rivals, scatter)
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
@@ -154,7 +157,7 @@ def decide(
     if told(timed, limits):
         located = tuple((t.spot.place, t.share) for t in timed[:10])
     return NonlinearAnswer(
-        named, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
+        names, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
         noise, gained, tuple(orbits), held_out=tuple(o.run for o in test if o.run is not None), scatter=scatter,
     )  # fmt: skip

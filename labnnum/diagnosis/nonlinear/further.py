@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
+from labnnum.diagnosis.nonlinear.explore import LAWS
+from labnnum.diagnosis.nonlinear.leads import general_lead, law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import choose_lines
-from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, general_lead, law_leads, ranked, recover
+from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, Made, fit
 from labnnum.diagnosis.nonlinear.steady import Orbit
-from labnnum.diagnosis.nonlinear.study import LAWS, Study, Tried, cost
 from labnnum.errors import EstimationError
 
 GAIN = 0.1

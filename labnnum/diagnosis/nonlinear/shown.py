@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.laws import force_along
-from labnnum.diagnosis.nonlinear.study import Study, Tried
 
 
 @dataclass(frozen=True, eq=False)

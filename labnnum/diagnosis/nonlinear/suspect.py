@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fit
+from labnnum.diagnosis.nonlinear.explore import LINES, LONG, Prospect
 from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.diagnosis.nonlinear.study import LINES, LONG, Bench, Prospect, Tried, of_fit
 from labnnum.diagnosis.observe import Observation
 
 POOR = 3.0

@@ -1,0 +1,165 @@
+"""What every fit of one search shares, a law that was tried, and what a search found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
+from labnnum.diagnosis.nonlinear.laws import SHAPES
+from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
+from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
+from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.problem import Joint, Made, fit
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.errors import EstimationError
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A law at a spot, fitted; `cost` its objective plus the price of its parameters.
+
+    `simulated`: whether the fit was by simulation, and not along the recovered motion only.
+    """
+
+    lead: Lead
+    made: Made
+    cost: float
+    simulated: bool = True
+
+    @property
+    def spot(self) -> Spot:
+        """Where."""
+        return self.lead.spot
+
+    @property
+    def mechanism(self) -> str:
+        """Its id."""
+        return self.lead.mechanism
+
+    @property
+    def named(self) -> bool:
+        """Whether its law is one of the catalogue."""
+        return self.mechanism != "general"
+
+    def same(self, other: Tried) -> bool:
+        """Whether both are one answer."""
+        same_terms = self.named or np.array_equal(self.lead.p != 0, other.lead.p != 0)
+        return self.mechanism == other.mechanism and self.spot.place == other.spot.place and same_terms
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What the search found: candidates best first, the general law, the base model fitted to the same runs."""
+
+    engine: Engine
+    point: Point
+    runs: tuple[Run, ...]
+    base: Made
+    quiet: Made
+    tried: tuple[Tried, ...]
+    general: Tried | None
+    recovered: tuple[Recovered, ...]
+
+    @property
+    def best(self) -> Tried:
+        """The candidate that costs least."""
+        return self.tried[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What every fit of one search shares: base model, runs, the scatter of a sound model, the lines compared."""
+
+    engine: Engine
+    point: Point
+    runs: tuple[Run, ...]
+    scatter: Scatter
+    lines: tuple[Lines, ...]
+
+    def on(self, most: int) -> Bench:
+        """The same with `most` lines a run."""
+        return replace(self, lines=tuple(choose_lines(r, most, self.scatter.floor) for r in self.runs))
+
+    def joint(self, leads: Sequence[Lead]) -> Joint:
+        """The objective of laws that are simulated."""
+        return Joint(self.engine, self.point, self.runs, [lead.acting() for lead in leads], self.scatter, self.lines)
+
+    def follow(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
+        """A law fitted along the recovered motion, from the base vector `x`."""
+        joint = Followed(self.engine, self.point, self.runs, lead.acting(), self.scatter, self.lines)
+        return tried_fit(joint, joint.start(x), [None] * len(self.runs), lead, steps, simulated=False)
+
+    def follow_on(self, one: Tried, steps: int) -> Tried:
+        """The same carried on."""
+        return self.follow(one.made.x[: one.made.n_base], of_fit(one), steps) or one
+
+    def simulate(self, one: Tried, steps: int) -> Tried | None:
+        """A law that was followed, fitted by simulation: from its force along the motion, or else from nothing."""
+        joint = self.joint([of_fit(one)])
+        made = tried_fit(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
+        return made or tried_fit(joint, one.made.x, [None] * len(self.runs), one.lead, steps)
+
+    def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int) -> Tried | None:
+        """A law fitted by simulation from what the recovered motion promised, from several base vectors."""
+        joint = self.joint([lead])
+        begin = [joint.start(x) for x in starts]
+        if lead.mechanism == "stick-slip":
+            begin.append(joint.start(softened(joint, starts[0], lead)))
+        made = [tried_fit(joint, x, [None] * len(self.runs), lead, steps) for x in begin]
+        return min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
+
+    def carry_on(self, one: Tried, steps: int, *, always: bool = False) -> Tried:
+        """A simulated fit carried on, on other lines perhaps."""
+        joint = Joint(self.engine, self.point, self.runs, one.made.terms, self.scatter, self.lines)
+        return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always) or one
+
+
+def tried_fit(
+    joint: Joint, x: NDArray, orbits: Sequence, lead: Lead, steps: int, *, simulated: bool = True, always: bool = False
+) -> Tried | None:  # fmt: skip
+    """The fit of `joint` from `x` as a candidate; None where no steady state is found."""
+    try:
+        made = fit(joint, x, orbits, steps=steps, always=always)
+    except (EstimationError, np.linalg.LinAlgError):
+        return None
+    return Tried(lead, made, cost(made, lead.mechanism), simulated)
+
+
+def softened(joint: Joint, x: NDArray, lead: Lead) -> NDArray[np.float64]:
+    """The base without the spring of a slider that sticks at low levels, to first order: that spring it holds twice."""
+    n, b = joint.engine.theta0.size, joint.engine.band_modes
+    r = next(iter(joint.receptances(joint.start(x)).values()))
+    out = x.copy()
+    less = 0.5 * lead.p[0] * r.w[0, b] ** 2 / r.omega[b] ** 2
+    out[n : n + b.size] -= np.minimum(less, SOFTER)
+    return out
+
+
+SOFTER = 0.05
+"""Fall of a frequency at most when a base is set free of what sticks."""
+
+
+def of_fit(one: Tried) -> Lead:
+    """Its lead with the parameters where its fit ended."""
+    p, _ = one.made.law(0)
+    full = np.zeros(N_P)
+    full[: p.size] = p
+    return replace(one.lead, p=full)
+
+
+PRICE = 4.0
+"""Price of one parameter of a law, in chi-square."""
+
+
+def cost(made: Made, mechanism: str) -> float:
+    """Objective plus the price of the law's parameters; what hysteresis only shapes is not counted."""
+    n = 2 if mechanism == "hysteresis" else len(SHAPES[mechanism].names)
+    if mechanism == "general":
+        n = int(np.count_nonzero(made.x[made.n_base :]))
+    return made.objective + PRICE * (n + (1 if mechanism == "hysteresis" else 0))

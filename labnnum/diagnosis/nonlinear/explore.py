@@ -1,0 +1,213 @@
+"""What the recovered motion promises: places in order, leads of every law, and the laws followed along it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.leads import law_leads, ranked
+from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.locate import Background, Lead, Recovered, Spot, recover
+from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.problem import Joint, Made, fit
+from labnnum.diagnosis.nonlinear.run import Run
+
+LAWS = (
+    "cubic-stiffness", "quadratic-stiffness", "quadratic-damping", "coulomb-friction", "one-sided-gap", "clearance",
+    "stick-slip",
+)  # fmt: skip
+"""Laws that are regressed on the recovered motion; hysteresis starts from stick-slip."""
+LINES = 160
+"""Lines of a run on which laws are sought."""
+
+
+NEAREST = 5
+"""Spots, of either order, whose recovered motion is asked for every law."""
+IDLE = 0.8
+"""Part of the base's chi-square below which a law must come along the motion to be worth simulating,"""
+NOISY = 10.0
+"""where chi-square per value is above this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """What the recovered motion promises: the laws that were followed, best first, and the base they began from."""
+
+    bench: Bench
+    calm: Made
+    base: Made
+    recovered: tuple[Recovered, ...]
+    near: tuple[Tried, ...]
+    leads: tuple[Lead, ...] = ()
+
+    @property
+    def level(self) -> float:
+        """Chi-square per value that the best law leaves."""
+        return self.near[0].made.data_part / self.near[0].made.count
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether no law removes a fifth of what the base leaves, and that is far more than noise."""
+        best = self.near[0]
+        whole = self.base.objective * best.made.count / self.base.count
+        return best.cost > IDLE * whole and self.level > NOISY
+
+    @property
+    def nameless(self) -> bool:
+        """Whether a law without a name leaves so much less than every named one that no simulation can turn that."""
+        best = self.near[0]
+        others = [self.base.objective * best.made.count / self.base.count, *(t.cost for t in self.near if t.named)]
+        return not best.named and NEAR * best.cost < min(others)
+
+
+def explore(
+    engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
+    *, lines: int = LINES, carry_on: bool = True, unnamed: bool = True,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Prospect | None:  # fmt: skip
+    """Fit the base, locate, regress, and follow the leads along the recovered motion.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Training runs at their levels.
+    quiet : int
+        Number of the one that distorts least.
+    spots : sequence of Spot
+    carry_on : bool
+        Whether all that came near after a few steps is followed to the end, or the nearest two only.
+    unnamed : bool
+        Whether smooth laws of one term that have no name compete with the named ones.
+    """
+    bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
+    alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
+    calm = fit(alone, alone.start(), [None], steps=15)
+    plain = bench.joint([])
+    base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
+    progress("locating")
+    nominal = engine_start(plain)
+    found, leads = looked(plain, calm.x, spots, unnamed)
+    near: list[Tried] = []
+    if leads:
+        progress("following nonlinear laws along the motion")
+        near = followed(bench, (calm.x, nominal), leads, carry_on)
+    if calm.data_part > MISLED * calm.count and not (near and near[0].made.data_part < MISLED * near[0].made.count):
+        other, leads = looked(plain, nominal, spots, unnamed)
+        again = followed(bench, (nominal,), leads, carry_on) if leads else []
+        if again and (not near or again[0].cost < near[0].cost):
+            near, found = sorted([*again, *near], key=lambda t: t.cost), other
+    return Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads)) if near else None
+
+
+MISLED = 5.0
+"""Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
+
+
+def looked(
+    plain: Joint, x: NDArray, spots: Sequence[Spot], unnamed: bool = False
+) -> tuple[list[Recovered], list[Lead]]:  # fmt: skip
+    """Spots ranked by the forces recovered with the base at `x`, and what every law promises at the nearest."""
+    background = Background(plain, x[: plain.n_base])
+    found = ranked(background, [recover(plain, x, plain.point, s) for s in spots])
+    leads = [lead for q in nearest(found) for lead in law_leads(background, q, LAWS)]
+    if unnamed:
+        leads += [lead for q in nearest(found) for lead in q.unnamed]
+    return found, leads
+
+
+def nearest(found: Sequence[Recovered]) -> list[Recovered]:
+    """Spots that stand out: by what a general law removes there, and by the share of the distortion of a force there.
+
+    A base that a strong law has misled spoils the first more than the second, which any force has where there are no
+    more sensors than places.
+    """
+    by_share = sorted(found, key=lambda q: -q.share)
+    return [q for q in found if q in found[:NEAREST] or q in by_share[:NEAREST]]
+
+
+def engine_start(plain: Joint) -> NDArray[np.float64]:
+    """The nominal model's vector."""
+    n, m = plain.engine.theta0.size, plain.engine.band_modes.size
+    x = plain.start()
+    x[:n], x[n : n + m], x[n + 2 * m : n + 3 * m] = plain.engine.theta0, 0.0, 0.0
+    x[n + m : n + 2 * m] = np.log(plain.engine.zeta0[plain.engine.band_modes])
+    return x
+
+
+# -------------------------------------------------------------------- along the motion
+
+FAINT = 0.05
+"""Part of the best lead's gain below which a lead is not followed."""
+QUICK, LONG = 3, 10
+"""Steps of a follow that begins well, and of those that came near."""
+SLOW = ("stick-slip", "coulomb-friction")
+"""Laws that come near late."""
+BEATEN = 10.0
+"""Cost, of the least so far, above which a follow is not carried on."""
+PRIME = 2
+"""Places, by the best lead and by the best follow after one step, at which every law is carried on: a law with memory
+begins badly where a smooth one does well."""
+BRIEF = 12
+"""Follows, the best after one step, that are carried on however far behind; those that are carried on to the end at
+most; leads followed where a channel is left out."""
+NEAR = 3.0
+"""Cost, of the least, below which a follow is carried on; and simulated."""
+
+
+def followed(
+    bench: Bench, starts: Sequence[NDArray], leads: Sequence[Lead], carry_on: bool = True
+) -> list[Tried]:  # fmt: skip
+    """Leads fitted along the recovered motion, best first; hysteresis wherever a slider comes near.
+
+    `starts` are base vectors: a strong law may have misled the base that was fitted without it.
+    """
+    top = max(lead.gain for lead in leads)
+    some = [lead for lead in leads if lead.gain > FAINT * top and lead.mechanism != "hysteresis"]
+    some.sort(key=lambda lead: -lead.gain)
+    begun: list[Tried] = []
+    for lead in some if carry_on else some[:BRIEF]:
+        made = [bench.follow(x, lead, 1) for x in starts]
+        begun += sorted((t for t in made if t is not None), key=lambda t: t.cost)[:1]
+    begun.sort(key=lambda t: t.cost)
+    if not begun:
+        return []
+    prime = [*dict.fromkeys(t.spot.place for t in begun)][:PRIME]
+    prime += [*dict.fromkeys(lead.spot.place for lead in some)][:PRIME]
+    limit = NEAR * begun[0].cost
+    first = [
+        bench.follow_on(t, QUICK - 1) if i < BRIEF or t.cost < limit or t.spot.place in prime else t
+        for i, t in enumerate(begun)
+    ]
+    first.sort(key=lambda t: t.cost)
+    if not carry_on:
+        return sorted([*(bench.follow_on(t, LONG) for t in first[:2]), *first[2:]], key=lambda t: t.cost)
+    limit = NEAR * first[0].cost
+    done: list[Tried] = []
+    best = np.inf
+    for i, t in enumerate(first):
+        slow = t.spot.place in prime and t.mechanism in SLOW
+        if t.cost < min(limit, BEATEN * best) and (i < BRIEF or slow):
+            t = bench.follow_on(t, LONG)
+        best = min(best, t.cost)
+        done.append(t)
+    done.sort(key=lambda t: t.cost)
+    for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:
+        smooth = _smooth(bench, t)
+        if smooth is not None:
+            done.append(smooth)
+    return sorted(done, key=lambda t: t.cost)
+
+
+def _smooth(bench: Bench, slider: Tried) -> Tried | None:
+    """Hysteresis in place of a slider."""
+    p, _ = slider.made.law(0)
+    start = np.zeros(N_P)
+    start[:4] = p[0], p[1] / max(p[0], 1e-300), 1.5, 0.5
+    lead = Lead(slider.spot, "hysteresis", start, slider.lead.gain)
+    return bench.follow(slider.made.x[: slider.made.n_base], lead, LONG)

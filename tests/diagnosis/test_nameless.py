@@ -1,0 +1,99 @@
+"""What has no name is not given one: laws outside the catalogue, change by chance, distortion beside drift, scales."""
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis import diagnose
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.gates import drifted
+from labnnum.diagnosis.nonlinear.decision import NAMELESS
+from labnnum.diagnosis.nonlinear.laws import SHAPES, TERMS, force_along
+from labnnum.diagnosis.nonlinear.march import N_P, along
+from labnnum.diagnosis.nonlinear.moved import moved
+from labnnum.diagnosis.nonlinear.scales import common, powers, scale_std
+from labnnum.diagnosis.observe import Observation
+from labnnum.frf import Frf
+from labnnum.nonlinear import Element
+from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs
+
+
+def test_a_law_outside_the_catalogue_is_located_and_not_named():
+    """A spring of force 5000 z|z|, made of stops one behind the other."""
+    step = 0.004
+    stops = [Element("clearance", joint_23(), (2 * 5000.0 * step, (i + 0.5) * step)) for i in range(40)]
+    structure = chain()
+    found = diagnose(structure, runs(stops, structure))
+    assert found.verdict == "unexplained", found.summary
+    assert str(found.place) == "joint 2-3"
+    assert found.detail["reason"] == NAMELESS
+    assert not found.named
+
+
+def _resonance(frequency, f0, zeta, seed, noise):
+    rng = np.random.default_rng(seed)
+    shapes = np.array([[1.0, 0.4], [-0.7, 0.9], [0.5, -1.2]])
+    h = shapes @ np.array([1 / (f**2 - frequency**2 + 2j * zeta * f * frequency) for f in (f0, 2.3 * f0)])
+    return h + noise * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
+
+
+def test_chance_moves_peaks_as_seldom_as_it_says():
+    frequency = np.linspace(5.0, 30.0, 400)
+    p = []
+    for seed in range(150):
+        a, b = (_resonance(frequency, 10.0, 0.02, 2 * seed + i, 2e-3) for i in range(2))
+        p.append(moved(frequency, a, b, np.full(a.shape, 3 * 2e-3**2)))  # variances that are too small by 4/3
+    p = np.array(p)
+    assert 0.02 < np.mean(p < 0.05) < 0.09
+    assert np.mean(np.sort(p, axis=1)[:, 1] < 2 * 0.01 / 3) < 0.03
+
+
+def test_a_peak_that_moves_by_a_thousandth_is_seen():
+    frequency = np.linspace(5.0, 30.0, 400)
+    a, b = _resonance(frequency, 10.0, 0.02, 1, 2e-3), _resonance(frequency, 10.01, 0.02, 2, 2e-3)
+    size = np.mean(np.abs(a - b) ** 2) / (4 * 2e-3**2)
+    assert size < 1.8  # the mean power of the change alone would not tell
+    assert (moved(frequency, a, b, np.full(a.shape, 4 * 2e-3**2)) < 1e-3).sum() >= 2
+
+
+def _drifting(distortion_db):
+    frequency = np.linspace(1.0, 12.0, 60)
+    h = np.ones((3, 1, 60), complex)
+    frf = Frf(frequency, h, OUTPUTS, (FORCE,), None, np.full(h.shape, 1e-10), 8.0, "periodic", {})
+    slope = Frf(frequency, 0.01 * h, OUTPUTS, (FORCE,))
+    distortion = {"odd": np.full(3, distortion_db), "odd_over_noise": np.full(3, 30.0)}
+    return Observation(frf, 1.0, "run", "periodic", distortion, 5.0, slope)
+
+
+def test_what_distorts_more_than_a_drift_can_is_no_drift():
+    """A change of 2 % over 8 periods leaves 20 log10(0.02 / 8 / sqrt(12)) = -63 dB on other lines at most."""
+    from labnnum.diagnosis.engine import Engine
+
+    engine = Engine(chain(), OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
+    assert drifted(engine, [_drifting(-70.0)]) is not None
+    assert drifted(engine, [_drifting(-30.0)]) is None
+
+
+def test_common_scales_follow_from_units():
+    """k3 goes with (1 + e)^-2 (1 + m)^3, a force with 1 + e; e and m as sensors leave them, by Bayes' rule."""
+    assert [powers(u) for u in ("N/m^3", "N*s^2/m^2", "m", "1")] == [(1, -3), (1, -2), (0, 1), (0, 0)]
+    covariance = common(Scatter(gain=0.01, residue=0.02), 4)
+    inverse = np.diag([1 / 0.01**2, 1 / 0.02**2]) + np.outer([1, -1], [1, -1]) * 4 / 0.01**2
+    assert covariance == pytest.approx(np.linalg.inv(inverse))
+    std = scale_std(("N/m^3", "N"), np.array([3.0, 2.0]), Scatter(gain=0.01, residue=0.02), 4)
+    d = np.array([-2.0, 3.0])
+    assert std[0] == pytest.approx(3.0 * np.sqrt(d @ covariance @ d))
+    assert std[1] == pytest.approx(2.0 * np.sqrt(covariance[0, 0]))
+
+
+@pytest.mark.parametrize("name", ["cubic-stiffness", "quadratic-stiffness", "one-sided-gap", "clearance",
+                                  "quadratic-damping", "general"])  # fmt: skip
+def test_laws_without_memory_are_the_marched_ones(name):
+    rng = np.random.default_rng(0)
+    z, v = rng.standard_normal((2, 50))
+    p = np.zeros(N_P)
+    p[:2] = 2.0, 0.5
+    if name == "general":
+        p = rng.standard_normal(N_P)
+    assert len(TERMS) == N_P
+    shape = SHAPES[name]
+    assert force_along(shape, z, v, p) == pytest.approx(along(shape.code, z, v, p, 1))
