@@ -236,11 +236,12 @@ def select(
 
 
 def _told_by(task: Task, terms: Sequence[Term], before: Candidate, law: Candidate) -> list[Candidate]:
-    """Named terms at the place of an unnamed law, fitted from where the law has put the parameters.
+    """Named terms at the nodes of an unnamed law, fitted from where the law has put the parameters.
 
     On sharp peaks a name may not find the way there by itself; what the law took for its dynamic stiffness shows it.
     """
-    here = [t for t in terms if t.place.touches(law.last.place)]
+    nodes = {law.last.place.id, law.last.place.to} - {None}
+    here = [t for t in terms if nodes & {t.place.id, t.place.to} and law.last.groups and t.groups]
     if not here:
         return []
     race, origin = _Race(task, before), winner_base(before, law)
