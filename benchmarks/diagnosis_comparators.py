@@ -96,7 +96,7 @@ def _updated(d: Any, data: Data, terms: tuple[Term, ...]) -> float:
     made = fit(engine, data, held.terms, Scatter(), start.vector(), steps=40)
     made = trimmed(engine, choose_lines(d.detail["train"]), made, Scatter())
     test = d.detail["test"]
-    return relative_error(test.value, predicted(engine, made, test))
+    return relative_error(test, predicted(engine, made, test))
 
 
 def black_box(d: Any) -> float:
@@ -107,7 +107,7 @@ def black_box(d: Any) -> float:
     sizes = range(0, 2 * engine.band_modes.size + 7, 2)
     best = min((rational(1j * train.omega, missing * weight, n) for n in sizes), key=lambda found: found[0])
     added = best[1](1j * test.omega) / weight
-    return relative_error(test.value, predicted(engine, base, test) + added.reshape(test.value.shape))
+    return relative_error(test, predicted(engine, base, test) + added.reshape(test.value.shape))
 
 
 def rational(s: NDArray, H: NDArray, order: int) -> tuple[float, Any]:
@@ -228,6 +228,20 @@ def table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return out
 
 
+def _rows(cases: int, seed: int, jobs: int, keep: Path | None) -> list[dict[str, Any]]:
+    """Every case's row; those in the file `keep` are taken from there, new ones added to it."""
+    known: dict[str, dict[str, Any]] = {}
+    if keep is not None and keep.is_file():
+        known = {row["case"]: row for row in map(json.loads, keep.read_text(encoding="utf-8").splitlines())}
+    tickets = draw(cases, seed)
+    for ticket, row in each(partial(one), [t for t in tickets if t.name not in known], jobs):
+        known[ticket.name] = row
+        if keep is not None:
+            with keep.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+    return [known[t.name] for t in tickets]
+
+
 def main() -> None:
     """Run the four ways and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -235,8 +249,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3000)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument(
+        "--keep", type=Path, help="file of rows, a line of JSON a case: what it holds is not done again"
+    )
     given = parser.parse_args()
-    rows = [row for _, row in each(partial(one), draw(given.cases, given.seed), given.jobs)]
+    rows = _rows(given.cases, given.seed, given.jobs, given.keep)
     found = table(rows)
     if given.json:
         print(json.dumps({"table": found, "cases": rows}))

@@ -40,6 +40,17 @@ def test_a_light_duffing_follows_multiple_scales():
         assert np.quantile(away, 0.9) < 0.025
 
 
+@pytest.mark.parametrize("epsilon", [0.004, 0.0008])
+def test_the_upper_branch_of_a_lightly_damped_oscillator_is_stable(epsilon):
+    """With a damping ratio of 1e-3 and 2e-4: the sweep upwards stays above until the fold, as equation 5.8 has it."""
+    light = Oscillator(1.0, 2 * epsilon * 0.25, 1.0, epsilon * 0.6, "cubic", (epsilon * 1.5,))
+    branch = HarmonicBalance(light, 3).curve(1 - 1.2 * epsilon, 1 + 2.7 * epsilon, step=0.01)
+    duffing, sigma = Duffing(epsilon=epsilon), np.linspace(-1.0, 2.5, 61)
+    for direction in ("forward", "backward"):
+        theirs = np.squeeze(duffing.amplitude(duffing.nominal, sigma, direction))
+        assert branch.swept(1 + epsilon * sigma, direction) == pytest.approx(theirs, rel=1.5 * epsilon + 2e-3)
+
+
 @pytest.mark.parametrize(("omega", "direction"), [(0.9, "forward"), (1.1, "backward")])
 def test_it_is_where_time_integration_ends(curve, omega, direction):
     c, k3, f = DUFFING.damping, DUFFING.parameters[0], DUFFING.force

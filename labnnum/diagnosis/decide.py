@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Fit, Scatter
+from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
 from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
@@ -19,9 +19,9 @@ from labnnum.mechanisms.base import Place, Term
 
 if TYPE_CHECKING:
     pass
-from labnnum.diagnosis.prediction import errors_of, predicted, relative_error, trimmed
+from labnnum.diagnosis.prediction import errors_of, foretold, predicted, relative_error, trimmed
 from labnnum.diagnosis.runs import nonlinear_signs
-from labnnum.diagnosis.worth import alarmed, improves, missing, one_law, worthwhile
+from labnnum.diagnosis.worth import alarmed, improves, missing, one_law, spoilt, worthwhile
 
 
 def same_answer(a: Term, b: Term) -> bool:
@@ -65,8 +65,9 @@ def decide(
         lambda made: errors_of(engine, made, train, test),
     )
     final = selection.chain[-1]
-    verdict, named, reason = _verdict(selection, limits, data, measured)
-    if named and not improves(selection, len(named), limits, data, base_error[1], extended_error[1]):
+    score = (foretold(engine, base.fit, test, scatter), foretold(engine, final.fit, test, scatter))
+    verdict, named, reason = _verdict(engine, selection, limits, data, measured, scatter)
+    if named and not improves(selection, len(named), limits, data, base_error[1], extended_error[1], score):
         verdict, named, reason = (
             "unexplained",
             (),
@@ -80,7 +81,7 @@ def decide(
             "one law at one place, which has no name, predicts as well as several",
         )
     if verdict == "unexplained" and not missing(engine, lines, selection, limits, scatter, data, train, test,
-                                                 base_error, extended_error, measured):  # fmt: skip
+                                                 base_error, extended_error, measured, score):  # fmt: skip
         verdict = "consistent"
     located = _located(selection)
     noise = float(np.sqrt(np.mean(np.sum(test.variance, axis=2) / np.sum(np.abs(test.value) ** 2, axis=2))))  # pyright: ignore[reportArgumentType, reportCallIssue]
@@ -123,15 +124,17 @@ def _moved(engine: Engine, made: Fit) -> bool:
 
 
 def _verdict(
-    selection: Selection, limits: Limits, data: Data, measured_noise: bool
+    engine: Engine, selection: Selection, limits: Limits, data: Data, measured_noise: bool, scatter: Scatter
 ) -> tuple[str, tuple[Named, ...], str]:
     base, final = selection.chain[0], selection.chain[-1]
     if len(selection.chain) == 1:
+        if spoilt(selection, limits, data):
+            return "unexplained", (), "one channel or support that does something else explains what the model leaves"
         return "consistent", (), "no term gains more than a sound structure's scatter"
     stage, best = selection.stages[0], selection.chain[1]
     excess = dispersion(best.fit, data)
     total = (base.fit.objective - min(final.fit.objective, best.fit.objective)) / excess
-    lead = _lead(stage, best) / excess
+    lead = _lead(engine, data, scatter, stage, best, limits.name * excess) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
         if (best.cost - law.cost) / max(excess, 1.0) > max(limits.alarm, limits.behind * total):
@@ -157,10 +160,26 @@ def _verdict(
     return verdict, tuple(named), ""
 
 
-def _lead(stage: Sequence[Candidate], best: Candidate) -> float:
-    """How far the best stands before the next at another place."""
-    others = [c.cost for c in stage if c.last.place != best.last.place]
-    return min(others) - best.cost if others else np.inf
+def _lead(
+    engine: Engine, data: Data, scatter: Scatter, stage: Sequence[Candidate], best: Candidate, enough: float
+) -> float:
+    """How far the best stands before the next at another place; rivals are looked at while they tie."""
+    for c in sorted((c for c in stage if c.last.place != best.last.place), key=lambda c: c.cost):
+        if c.cost - best.cost >= enough or not _one_thing(engine, data, scatter, best, c):
+            return c.cost - best.cost
+    return np.inf
+
+
+def _one_thing(engine: Engine, data: Data, scatter: Scatter, a: Candidate, b: Candidate) -> bool:
+    """Whether two candidates that share a node are one thing under two names, such as the last spring of a chain and
+    the wall that it is held by: fitted to the response of the other, one leaves less than two deviations.
+    """
+    nodes = [{c.last.place.id, c.last.place.to} - {None} for c in (a, b)]
+    if "channel" in (a.last.place.kind, b.last.place.kind) or not nodes[0] & nodes[1]:
+        return False
+    value = engine.response(b.fit.point, b.terms, data.s).value
+    made = fit(engine, replace(data, value=value), a.terms, scatter, a.fit.point.vector(), steps=20, tolerance=0.01)
+    return made.data_part < 4.0
 
 
 def _confidence(stage: Sequence[Candidate], best: Candidate) -> float:
@@ -169,7 +188,8 @@ def _confidence(stage: Sequence[Candidate], best: Candidate) -> float:
     for c in stage:
         key = (c.last.mechanism.id, c.last.place)
         answers[key] = min(answers.get(key, np.inf), c.cost)
-    mine = answers[(best.last.mechanism.id, best.last.place)]
+    key = (best.last.mechanism.id, best.last.place)
+    mine = answers[key] = min(answers.get(key, np.inf), best.cost)  # it may have been fitted after the stage
     weights = np.exp(-np.clip((np.array(list(answers.values())) - mine) / 2, -50, 700))
     return float(1.0 / weights.sum())
 
@@ -182,10 +202,11 @@ def _named(made: Fit, i: int, confidence: float) -> Named:
 
 
 def _best_place(selection: Selection) -> Place | None:
-    law = selection.general
+    base, law = selection.chain[0], selection.general
     if len(selection.chain) < 2:
-        found = _located(selection)
-        return found[0][0] if found else None
+        if law is not None and law.cost < base.cost:
+            return law.last.place
+        return next((place for place, _ in _located(selection)), None)
     best = selection.chain[1]
     if law is not None and law.cost < best.cost:
         return law.last.place
@@ -210,7 +231,7 @@ def _alternatives(
         if any(same_answer(c.last, n.term) for n in named) or any(same_answer(c.last, a.term) for a in out):
             continue
         gap = c.cost - best.cost
-        error = relative_error(test.value, predicted(engine, c.fit, test))
+        error = relative_error(test, predicted(engine, c.fit, test))
         if gap < limits.name:
             why = f"explains the data as well as {best.last.mechanism.id} at {best.last.place} (chi-square + {gap:.1f})"
         else:

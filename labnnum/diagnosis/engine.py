@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.affine import affine
 from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.point import Point, Response, State
 from labnnum.errors import ModelError
@@ -39,15 +40,18 @@ class Engine:
         self.structure = structure
         self.outputs, self.inputs = tuple(outputs), tuple(inputs)
         self.band = band
+        self.is_base = any(c.role == "base" for c in self.inputs)
         self.theta0 = structure.nominal
         m = structure.matrices(self.theta0)
         self._basis(np.real(m.M), np.real(m.K))
-        self.is_base = any(c.role == "base" for c in self.inputs)
         self.held = held_motions(structure)
         self.held_load = sum((h.free_load for h in self.held.values()), np.zeros(len(m.M)))
         if self.is_base and len(self.inputs) > 1:
             raise ModelError("base motion and force at the same time are not supported: import them as separate runs")
+        dofs = [c.dof for c in (*self.outputs, *self.inputs) if c.role != "base"]
+        self._affine = affine(structure, dofs, self.basis, self.is_base)
         self._cache: dict[tuple, State] = {}
+        self._seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
         self._grids: dict[tuple[int, int, int], tuple] = {}
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
         self.sign_out = np.array([c.sign for c in self.outputs])
@@ -56,6 +60,8 @@ class Engine:
         low, high = band
         self.keep = first.omega.size
         self.rigid_modes = int(np.count_nonzero(first.omega < 1e-6 * max(first.omega.max(), 1e-300)))
+        self.n_law = 2 if 0 < self.rigid_modes < first.omega.size else 1
+        self.elastic = float(first.omega[self.rigid_modes]) if self.n_law == 2 else 0.0
         inside = (first.omega > 0.6 * low) & (first.omega < NEAR * high)
         inside[: self.rigid_modes] = False
         if not inside.any():
@@ -125,10 +131,14 @@ class Engine:
 
     def _changed(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> tuple[NDArray, NDArray, list]:
         """M, K and their derivatives to theta and to the changes' parameters."""
-        m = self.structure.matrices(theta)
-        mass, stiffness = np.real(m.M), np.real(m.K)
-        slopes = [(d.M, d.K) for d in self.structure.derivatives(theta)]
         off = theta - self.theta0
+        if self._affine is not None:
+            mass, stiffness = self._affine.at(theta)
+            slopes = list(self._affine.slopes)
+        else:
+            m = self.structure.matrices(theta)
+            mass, stiffness = np.real(m.M), np.real(m.K)
+            slopes = [(d.M, d.K) for d in self.structure.derivatives(theta)]
         for change, p in changes:
             more, stiffer = change.matrices(p, off)
             mass, stiffness = mass + more, stiffness + stiffer
@@ -142,31 +152,34 @@ class Engine:
 
         v = self.basis
         mass, stiffness, d = self._changed(theta, changes)
+        quick = self._affine if not changes else None
         try:
             if changes:  # they bend the elements themselves, which the nominal low modes do not span
                 value, shape = eigh(stiffness, mass, subset_by_index=[0, v.shape[1] - 1])
             else:
-                value, q = eigh(v.T @ stiffness @ v, v.T @ mass @ v)
-                shape = v @ q
+                small = quick.reduced(theta) if quick else (v.T @ mass @ v, v.T @ stiffness @ v)
+                value, shape = eigh(small[1], small[0])
         except LinAlgError:
             raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}") from None
-        shape = shape * np.where(shape[np.abs(shape).argmax(axis=0), np.arange(shape.shape[1])] < 0, -1.0, 1.0)
-        sensors = np.array([self.participation(c.dof, theta) for c in self.outputs])
+        q, shape = shape, shape if changes else v @ shape
+        turned = np.where(shape[np.abs(shape).argmax(axis=0), np.arange(shape.shape[1])] < 0, -1.0, 1.0)
+        q, shape = q * turned, shape * turned
+        sensors, drives = self._rows(theta)
         out = sensors @ shape
         omega = np.sqrt(np.maximum(value, 0))
-        mixed = [_mode_derivatives(shape.T @ dk @ shape, shape.T @ dm @ shape, value) for dm, dk in d]
+        own, slopes = (q, quick.small_slopes) if quick else (shape, d)
+        mixed = [_mode_derivatives(own.T @ dk @ own, own.T @ dm @ own, value) for dm, dk in slopes]
         d_log = np.array([a for a, _ in mixed]).reshape(len(d), omega.size)
         mix = np.array([b for _, b in mixed]).reshape(len(d), omega.size, omega.size)
         n_par = len(d)
         if self.is_base:
-            r, drives = np.real(self.structure.rigid(theta)), np.zeros((0, shape.shape[0]))
+            r = np.real(self.structure.rigid(theta))
             pushed = mass @ r + self.held_load
             load = -(shape.T @ pushed)[:, None]
             high_in = -(pushed @ self.high)[None]
             d_load = np.array([-(shape.T @ (dm @ r))[:, None] for dm, _ in d]).reshape(n_par, -1, 1)
         else:
             r = np.zeros(shape.shape[0])
-            drives = np.array([self.participation(c.dof, theta) for c in self.inputs])
             load = (drives @ shape).T
             high_in = drives @ self.high
             d_load = self._moved(self.inputs, theta, shape, n_par)
@@ -177,8 +190,21 @@ class Engine:
             sensors @ self.high, high_in, r, sensors @ r, sensors, drives,
         )  # fmt: skip
 
+    def _rows(self, theta: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Participations of the outputs (n_out, n) and of the inputs (n_in, n), none under base motion."""
+        if self._affine is not None:
+            theta = self.theta0
+        key = theta.tobytes()
+        if key not in self._seen:
+            drive = () if self.is_base else self.inputs
+            rows = [np.array([self.participation(c.dof, theta) for c in part]) for part in (self.outputs, drive)]
+            self._seen = {key: (rows[0], rows[1].reshape(len(drive), -1) if drive else np.zeros((0, rows[0].shape[1])))}
+        return self._seen[key]
+
     def _moved(self, channels: Sequence[Channel], theta: NDArray, shape: NDArray, n_par: int) -> NDArray[np.float64]:
         """Derivatives of the channels' modal participations, (n_par, m, n_channels); changes move no channel."""
+        if self._affine is not None:
+            return np.zeros((n_par, shape.shape[1], len(channels)))
         rows = [self.structure.participation_derivatives(c.dof, theta) @ shape for c in channels]
         return np.pad(np.moveaxis(np.array(rows), 0, 2), ((0, n_par - len(rows[0])), (0, 0), (0, 0)))
 
@@ -199,7 +225,9 @@ class Engine:
         n = sum(t.n for t in terms)
         p = np.asarray(p, float) if len(p) else np.zeros(n)
         m = self.band_modes.size
-        return Point(self.theta0.copy(), p, np.zeros(m), np.log(self.zeta0[self.band_modes]), np.zeros(m), np.zeros(1))
+        return Point(
+            self.theta0.copy(), p, np.zeros(m), np.log(self.zeta0[self.band_modes]), np.zeros(m), np.zeros(self.n_law)
+        )
 
     def site(self, free_nodes: Sequence[str], elements: Sequence[tuple[str, str]], supports: Sequence[str]) -> Site:
         """What mechanisms need to know, at the nominal parameters."""

@@ -52,7 +52,10 @@ class Evaluation:
             :, None
         ]  # what the damping acts on: velocity, or displacement at a right angle
         self.rate = rate
-        self.d = 1.0 / (omega[:, None] ** 2 + 2 * (zeta * omega)[:, None] * rate + s**2)
+        stiff = omega[:, None] ** 2 + 2 * (zeta * omega)[:, None] * rate
+        if e.n_law == 2:  # what holds a free body, cords or a spring, has some loss
+            stiff[: e.rigid_modes] += float(self.point.law[1]) * e.elastic * s
+        self.d = 1.0 / (stiff + s**2)
         self.load = st.load.copy()
         self.load[b] += (self.point.size * e.load_typical)[:, None]
 
@@ -298,7 +301,7 @@ class Evaluation:
         e, st, s, b = self.e, self.state, self.s, self.e.band_modes
         n_t, m_b = self.point.theta.size, b.size
         n_o, n_i, n_f = len(e.outputs), len(e.inputs), s.size
-        jac = np.zeros((n_t + self.n_terms + 3 * m_b + 1, n_o, n_i, n_f), complex)
+        jac = np.zeros((n_t + self.n_terms + 3 * m_b + e.n_law, n_o, n_i, n_f), complex)
         slots = [*range(n_t), *(n_t + i for _, c in self.changes for i in range(c.start, c.stop))]
         for j, slot in enumerate(slots):
             slope = st.d_log[j]
@@ -343,7 +346,10 @@ class Evaluation:
         jac[at + m_b : at + 2 * m_b] -= np.einsum("mof,mif->oif", p_out[o], follow[:, None] * q[o]) / m_b
         jac[at + 2 * m_b : at + 3 * m_b] = p_out[b][:, :, None, :] * e.load_typical[:, None, None, None]
         swing = 2 * (self.zeta * self.omega)[:, None] * (1j * self.omega[:, None] - s)
-        jac[-1] = -np.einsum("mof,mif->oif", p_out, swing[:, None] * q)
+        jac[at + 3 * m_b] = -np.einsum("mof,mif->oif", p_out, swing[:, None] * q)
+        if e.n_law == 2:
+            free = slice(e.rigid_modes)
+            jac[-1] = -e.elastic * np.einsum("mof,mif->oif", p_out[free], s * q[free])
         return jac
 
 

@@ -30,7 +30,8 @@ class Scatter:
     constant and growing to that much at the top of the band; `complexity`: imaginary part of a shape; `remainder`:
     relative, of what modes outside the band contribute; `floor`: relative residual that nothing explains;
     `suspension`: relative change of a free structure's rigid-body response at the lowest line; `offset`: what a
-    channel's offset leaves of a hit at the lowest line, of its row's median.
+    channel's offset leaves of a hit at the lowest line, of its row's median; `cords`: rate at which a free body's
+    motions die out, over its first elastic frequency.
     """
 
     frequency: float = 0.003
@@ -44,6 +45,7 @@ class Scatter:
     floor: float = 0.003
     suspension: float = 0.1
     offset: float = 0.1
+    cords: float = 0.02
     trim: float = 0.0
     """Where positive, frequencies and loads are free within so many standard deviations and nothing is marginalised:
     a model as it would be used, trimmed within what a sound one needs."""
@@ -113,11 +115,11 @@ class Problem:
         self.start = start
         parameters = engine.structure.parameters
         m = start.shift.size
-        self.mean = np.concatenate([start.theta, start.terms, np.zeros(m), start.log_zeta, np.zeros(m), [0.0]])
+        self.mean = np.concatenate([start.theta, start.terms, np.zeros(m), start.log_zeta, np.zeros(m), 0 * start.law])
         flat = np.full(start.terms.size, np.inf)
         self.std = np.concatenate(
             [[p.spread for p in parameters], flat, np.full(m, scatter.frequency), np.full(m, scatter.damping),
-             np.full(m, scatter.residue), [1.0]]
+             np.full(m, scatter.residue), [1.0, scatter.cords][: start.law.size]]
         )  # fmt: skip
         own = [q for t in self.terms for q in t.parameters]
         wide = np.concatenate([np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9)])
@@ -125,7 +127,8 @@ class Problem:
         high = np.concatenate([[p.upper for p in parameters], [q.upper for q in own], wide])
         at = start.theta.size + start.terms.size + m
         high[at : at + m] = np.log(0.7)
-        low, high = np.append(low, 0.0), np.append(high, 1.0)
+        low = np.append(low, 0.0 * start.law)
+        high = np.append(high, [1.0, 0.5][: start.law.size])
         if scatter.trim:
             free = self.start.theta.size + self.start.terms.size
             for first, width in ((free, scatter.frequency), (free + 2 * m, scatter.residue)):
@@ -141,7 +144,7 @@ class Problem:
                 np.full(m, 0.02),
                 np.full(m, 0.7),
                 np.full(m, 0.5),
-                [1.0],
+                [1.0, 0.1][: start.law.size],
             ]
         )
 
@@ -291,6 +294,11 @@ class Problem:
         """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
         resp = self.engine.response(self.start.with_vector(x), self.terms, self.data.s)
         return self._reduce(self._rows(self.data.value - resp.value), like.nuisance)[0] + self._price(x)
+
+    def marginal(self, x: NDArray) -> float:
+        """Whitened squares at `x` with what is marginalised taken off at its price; nothing for `x` itself."""
+        r, b, _ = self._parts(x, jacobian=False)
+        return self._reduce(r, b)[0]
 
     def _price(self, x: NDArray) -> float:
         return float(np.sum(((x - self.mean) / self.std) ** 2))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
 from labnnum.diagnosis.point import Point
-from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, thin
+from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, subspace_score, thin
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
@@ -220,6 +220,9 @@ def select(
         if stage == 0:
             laws = _unnamed(task, general, chain[0], found[0])
             law = laws[0] if laws else None
+            if law is not None and found[0].cost - law.cost > limits.name:
+                found = _among(found, _told_by(task, terms, chain[0], law))
+                stages[-1] = tuple(found)
             for c in [*found, *laws]:
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)
@@ -230,6 +233,34 @@ def select(
             break
         chain.append(best)
     return Selection(tuple(chain), tuple(stages), law, gains)
+
+
+def _told_by(task: Task, terms: Sequence[Term], before: Candidate, law: Candidate) -> list[Candidate]:
+    """Named terms at the place of an unnamed law, fitted from where the law has put the parameters.
+
+    On sharp peaks a name may not find the way there by itself; what the law took for its dynamic stiffness shows it.
+    """
+    here = [t for t in terms if t.place.touches(law.last.place)]
+    if not here:
+        return []
+    race, origin = _Race(task, before), winner_base(before, law)
+    x = origin.fit.point.vector()
+    for level in (task.coarse, task.ladder[2]):
+        leads = grid_score(task.engine, level, task.scatter, here, x, before.terms)
+        for lead in _one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))[:5]:
+            for p in (lead.start, *lead.others[:1]):
+                race.enter(replace(lead, start=p), None if level is task.coarse else 2, origin)
+    ahead = sorted(race.found, key=lambda c: c.cost)[:3]
+    return [task.priced(c.terms, task.refined(c.fit)) for c in ahead if not _shadows(task.engine, c)]
+
+
+def _among(found: Sequence[Candidate], more: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates of two searches, best first, each term once."""
+    best: dict[int, Candidate] = {}
+    for c in (*found, *more):
+        if id(c.last) not in best or c.cost < best[id(c.last)].cost:
+            best[id(c.last)] = c
+    return sorted(best.values(), key=lambda c: c.cost)
 
 
 def _told(law: Candidate | None, chain: Sequence[Candidate], data: Data, limits: Limits) -> bool:
@@ -258,13 +289,33 @@ def settled(made: Fit, data: Data, limits: Limits) -> bool:
 def _unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candidate) -> list[Candidate]:
     """The best unnamed laws, best first: smooth local ones, loose ones, and pairs where nothing else is enough."""
     plain = replace(task, counts={})
-    found = _stage(plain, [t for t in general if t.width == 1], base, 4)[:2]
+    single, pairs = ([t for t in general if t.width == k] for k in (1, 2))
+    found = _stage(plain, single, base, 4)[:2]
     found += _loosened(plain, [t for t in general if t.width == 0], base)
-    best = min([*found, named], key=lambda c: c.cost)
-    pairs = [t for t in general if t.width == 2]
-    if pairs and not settled(best.fit, task.data, task.limits):
-        found += _stage(plain, pairs, base, 4)[:2]
+
+    def enough() -> bool:
+        best = min([*found, named], key=lambda c: c.cost)
+        return settled(best.fit, task.data, task.limits)
+
+    if not enough():
+        found += _surveyed(plain, single, base, 2)
+    if pairs and not enough():
+        found += [*_surveyed(plain, pairs, base), *_stage(plain, pairs, base, 4)[:2]]
     return sorted(found, key=lambda c: c.cost)
+
+
+def _surveyed(task: Task, laws: Sequence[Term], base: Candidate, each: int = 3, n: int = 2) -> list[Candidate]:
+    """Laws of many coefficients, best first: those whose coefficients together promise most, rung by rung, fitted."""
+    x = base.fit.point.vector()
+    nominal = _afresh(task.engine, base).vector()
+    levels = [(0, task.ladder[0], nominal), (1, task.ladder[1], x), (2, task.ladder[2], x), (None, task.coarse, x)]
+    race = _Race(task, base)
+    for rung, level, at in levels:
+        leads = subspace_score(task.engine, level, task.scatter, laws, at, base.terms)
+        for lead in sorted(leads, key=lambda lead: -lead.gain)[:each]:
+            race.enter(lead, rung)
+    ahead = _among(race.found, ())[:n]
+    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
 def _loosened(task: Task, loose: Sequence[Term], base: Candidate, n: int = 2) -> list[Candidate]:
@@ -347,14 +398,7 @@ def _stage(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> 
         if task.counts:
             _otherwise(race, terms)
             _again(race, terms, done)
-    found = race.found
-    found = [c for c in found if not _shadows(engine, c)]
-    best: dict[int, Candidate] = {}
-    for c in found:
-        key = id(c.last)
-        if key not in best or c.cost < best[key].cost:
-            best[key] = c
-    ahead = sorted(best.values(), key=lambda c: c.cost)[: width + 1]
+    ahead = _among([c for c in race.found if not _shadows(engine, c)], ())[: width + 1]
     return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.hits import without_offset
 from labnnum.diagnosis.nonlinear.run import Run, run_of
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.frf import Frf
@@ -226,8 +227,10 @@ def _distortion(
         out[name] = 10 * np.log10(np.maximum(power / signal, 1e-30))
         if n_periods > 1:
             each = spectra[:, outputs] - y
-            noise = np.mean(np.abs(each[:, :, where]) ** 2, axis=(0, 2)) / (n_periods - 1)
+            error = (each - through * (spectra[:, inputs[0]] - u)[:, None])[:, :, where]
+            noise = np.mean(np.abs(error) ** 2, axis=(0, 2)) / (n_periods - 1)
             out[name + "_over_noise"] = 10 * np.log10(np.maximum(power, 1e-300) / np.maximum(noise, 1e-300))
+            noise = np.mean(np.abs(each[:, :, where]) ** 2, axis=(0, 2)) / (n_periods - 1)
             raw = np.mean(np.abs(y[:, where]) ** 2, axis=1)
             out[name + "_raw_over_noise"] = 10 * np.log10(np.maximum(raw, 1e-300) / np.maximum(noise, 1e-300))
             of_input = np.mean(np.abs(u[where]) ** 2) / max(float(np.mean(noise_u[where])), 1e-300)
@@ -257,8 +260,7 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     first = recordings[0]
     pieces = [r.data[:, a:b] for r in recordings for a, b in r.spans()]
     n = min(p.shape[1] for p in pieces)
-    x = np.stack([p[:, :n] for p in pieces])
-    x = x - np.median(x[:, :, -max(n // 10, 1) :], axis=2, keepdims=True)
+    x = np.stack([without_offset(p[:, :n], first.inputs[0]) for p in pieces])
     decay = np.log(100.0) * first.rate / n
     spectra = np.fft.rfft(x * np.exp(-decay * np.arange(n) / first.rate), axis=2) / first.rate
     u, y = spectra[:, first.inputs[0]], spectra[:, list(first.outputs)]

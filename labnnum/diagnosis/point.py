@@ -50,7 +50,8 @@ class Point:
     size: NDArray
     """Offset of each band mode's load, relative to a typical one, (m_b,)."""
     law: NDArray
-    """Share of the modal damping that is hysteretic rather than viscous, (1,), 0 to 1."""
+    """Share of the modal damping that is hysteretic rather than viscous, 0 to 1; of a free structure also how quickly
+    its rigid-body motions die out, over the first elastic frequency: (1,) or (2,)."""
 
     def vector(self) -> NDArray:
         """All in one vector, in the order above."""

@@ -9,27 +9,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Fit, Scatter, fit
-from labnnum.diagnosis.linear import data_of
+from labnnum.diagnosis.fit import Fit, Problem, Scatter, fit
+from labnnum.diagnosis.linear import choose_lines, data_of
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import broaden
-from labnnum.frf import Frf
+from labnnum.frf import MOTION_ORDER, Frf
 from labnnum.mechanisms.base import Term
 
 if TYPE_CHECKING:
     pass
 
 
-def relative_error(measured: NDArray, model: NDArray) -> float:
-    """Relative RMS error over lines, root mean square over rows."""
-    m = measured.reshape(-1, measured.shape[-1])
-    e = (measured - model).reshape(m.shape)
-    return float(np.sqrt(np.mean(np.sum(np.abs(e) ** 2, axis=1) / np.sum(np.abs(m) ** 2, axis=1))))
+NODAL = 0.3
+"""A response smaller than this part of what like sensors read is one beside a node: its error counts as theirs."""
+
+
+def relative_error(measured: Frf, model: NDArray) -> float:
+    """Relative RMS error over lines, root mean square over rows.
+
+    A row's error is taken relative to its response, or to `NODAL` times the mean response of the sensors of its kind
+    where that is more: a sensor beside a node of the modes reads little else than the model's ordinary errors.
+    """
+    e = np.sum(np.abs(measured.value - model) ** 2, axis=2)
+    return float(np.sqrt(np.mean(e / _sizes(measured))))
+
+
+def _sizes(frf: Frf) -> NDArray[np.float64]:
+    """What each row's squared error is relative to, (n_out, n_in)."""
+    turns = np.array([c.direction.lstrip("-").startswith("r") for c in frf.outputs])
+    rise = np.array([MOTION_ORDER[c.quantity] for c in frf.outputs])
+    weight = (2 * np.pi * frf.frequency) ** (2.0 * (2 - rise))[:, None]  # everything as acceleration
+    own = np.sum(np.abs(frf.value) ** 2, axis=2)
+    motion = np.sum(np.abs(frf.value) ** 2 * weight[:, None], axis=2)
+    out = np.empty_like(own)
+    for kind in (False, True):
+        alike = turns == kind
+        if alike.any():
+            share = motion[alike] / np.maximum(motion[alike].mean(axis=0), 1e-300)
+            out[alike] = own[alike] * np.maximum(1.0, NODAL**2 / np.maximum(share, 1e-30))
+    return out
 
 
 def errors_of(engine: Engine, made: Fit, train: Frf, test: Frf) -> tuple[float, float]:
     """Relative errors of a fitted model on the training and on the held-out FRFs."""
-    return tuple(relative_error(f.value, predicted(engine, made, f)) for f in (train, test))  # type: ignore[return-value]
+    return tuple(relative_error(f, predicted(engine, made, f)) for f in (train, test))  # type: ignore[return-value]
+
+
+def foretold(engine: Engine, made: Fit, test: Frf, scatter: Scatter) -> float:
+    """Chi-square of held-out FRFs under a fitted model, its ordinary errors of shapes and gains marginalised.
+
+    It is the predictive score of the model as it stands: what shapes and gains of a sound bench scatter by counts for
+    nothing, and a fault of one row among many, or of a few lines, is not lost in their errors. NaN where the held-out
+    channels are not those of the fit.
+    """
+    if [c.name for c in (*test.outputs, *test.inputs)] != [c.name for c in (*engine.outputs, *engine.inputs)]:
+        return float("nan")
+    problem = Problem(engine, data_of(choose_lines(test), scatter), made.terms, scatter)
+    return problem.marginal(made.point.vector())
 
 
 def predicted(engine: Engine, made: Fit, frf: Frf) -> NDArray[np.complex128]:
@@ -81,7 +117,7 @@ def trimmed(engine: Engine, frf: Frf, made: Fit, scatter: Scatter) -> Fit:
         for kappa in (0.015, 0.004):
             rough = fit(engine, broaden(engine, data, start, terms, kappa), terms, use, rough, steps=8).point.vector()
         found += [fit(engine, data, terms, use, x, steps=25) for x in (start.vector(), rough)]
-    return min(found, key=lambda f: relative_error(frf.value, predicted(engine, f, frf)))
+    return min(found, key=lambda f: relative_error(frf, predicted(engine, f, frf)))
 
 
 def _within(point: Point, use: Scatter) -> Point:

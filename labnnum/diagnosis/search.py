@@ -84,6 +84,19 @@ class Profile:
         step = np.where(ok, along / np.where(ok, size, 1.0), 0.0)
         return np.where(ok, along * step, 0.0), step
 
+    def joint_gain(self, directions: NDArray) -> float:
+        """Gain of the best step in the space of the directions (rows, n, 2 f)."""
+        free, g = self.project(directions)
+        g = g / self.scale
+        _, g0 = self.project(self.r[:, None])
+        g0 = (g0[0] + self.pull) / self.scale
+        a = np.einsum("rnf,rmf->nm", directions, free, optimize=True) - g @ self.a_inverse @ g.T
+        along = np.einsum("rf,rnf->n", self.r, free) - g @ self.a_inverse @ g0
+        size = np.sqrt(np.maximum(np.einsum("rnf,rnf->n", directions, directions), 1e-300))
+        value, vector = np.linalg.eigh(a / np.outer(size, size))
+        seen = value > 1e-9 * max(float(value[-1]), 1e-300)
+        return float(np.sum((vector.T @ (along / size))[seen] ** 2 / value[seen]))
+
 
 def broaden(engine: Engine, data: Data, point: Point, terms: Sequence[Term], kappa: float, n: int = 120) -> Data:
     """The data with every resonance broadened to a relative half-width `kappa`, on `n` logarithmic lines.
@@ -189,6 +202,27 @@ def direction_score(
     return leads
 
 
+def subspace_score(
+    engine: Engine, data: Data, scatter: Scatter, terms: Sequence[Term], x: NDArray, held: Sequence[Term] = ()
+) -> list[Lead]:
+    """Gain of the best step in all parameters of a term together, at the fitted `x` of the model with `held`.
+
+    For laws without a name, whose parameters are coefficients: one of them alone may promise nothing where together
+    they explain everything. Each lead starts from zero, where a fit finds that step by itself.
+    """
+    profile = Profile(engine, data, scatter, x, held)
+    point = profile.problem.start.with_vector(x)
+    plain = engine.response(point, held, data.s).value
+    leads = []
+    for term in terms:
+        sizes = np.array([1e-6 * np.abs(term.starts[:, k]).max(initial=0.0) for k in range(term.n)])
+        sizes = np.where(sizes > 0, sizes, 1e-6 * np.abs(term.starts).max())
+        value = sweep(engine, point, term, np.diag(sizes), data.s, held)
+        gain = profile.joint_gain(profile.rows((value - plain) * 1e6))
+        leads.append(Lead(term, np.zeros(term.n), gain))
+    return leads
+
+
 def _mode_lead(engine: Engine, profile: Profile, term: Term, data: Data, point: Point, held: Sequence[Term]) -> Lead:
     """An added mode: its residues follow linearly at each trial frequency, row by row."""
     free = profile.r - np.einsum("rfn,rn->rf", profile.u, np.einsum("rfn,rf->rn", profile.u, profile.r))
@@ -213,9 +247,10 @@ def _mode_lead(engine: Engine, profile: Profile, term: Term, data: Data, point: 
 
 
 def shortlist(leads: Sequence[Lead], n: int, counts: Mapping[str, int] | None = None) -> list[Lead]:
-    """At most `n` leads: the best of the best mechanisms, then the best of the rest, three a mechanism at most.
+    """The best of every mechanism, and up to `n` leads the best of the rest, three a mechanism at most.
 
     They are ranked by what they gain beyond their parameters, and beyond luck in as many terms as a mechanism has.
+    Scores are rough: the right mechanism may stand behind ten others, and only a fit tells.
     """
     counts = counts or {}
 
@@ -226,7 +261,7 @@ def shortlist(leads: Sequence[Lead], n: int, counts: Mapping[str, int] | None = 
     first: dict[str, Lead] = {}
     for lead in worth:
         first.setdefault(lead.term.mechanism.id, lead)
-    out = list(first.values())[: max(n - 2, n // 2)]
+    out = list(first.values())[: n - 2 if not counts else None]
     for lead in worth:
         if len(out) >= n:
             break

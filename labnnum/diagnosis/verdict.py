@@ -33,7 +33,7 @@ class Limits:
     """
 
     alarm: float = 40.0
-    plain: float = 0.1
+    plain: float = 0.04
     name: float = 8.0
     further: float = 40.0
     parameter: float = 4.0

@@ -20,17 +20,26 @@ from labnnum.diagnosis.prediction import errors_of, trimmed
 
 
 def improves(
-    selection: Selection, n: int, limits: Limits, data: Data, base_error: float, extended_error: float
-) -> bool:
+    selection: Selection, n: int, limits: Limits, data: Data, base_error: float, extended_error: float,
+    score: tuple[float, float],
+) -> bool:  # fmt: skip
     """Whether `n` names are worth it: the prediction is better, or a misfit that no sound model has is gone.
 
-    A fault of a few lines, such as an appendage's notch, hardly shows in an error over all lines.
+    A fault of a few lines, such as an appendage's notch, or of one row of many hardly shows in an error over all;
+    `score` is the chi-square of the data held out, of base and extended model (`prediction.foretold`).
     """
     if extended_error <= limits.improve**n * base_error:
+        return True
+    if foretells(score, limits.improve_further**n, limits, base_error) and extended_error <= 1.05 * base_error:
         return True
     base, final = selection.chain[0].fit, selection.chain[-1].fit
     evident = base.objective > limits.misfit * 2 * data.value.size and settled(final, data, limits)
     return evident and extended_error <= 1.05 * base_error
+
+
+def foretells(score: tuple[float, float], part: float, limits: Limits, error: float) -> bool:
+    """Whether the chi-square of held-out data falls to `part` of what it was, and by as much as alarms."""
+    return score[1] <= part * score[0] and score[0] - score[1] >= limits.alarm * max(1.0, limits.plain / error)
 
 
 def one_law(
@@ -121,8 +130,11 @@ def _without(engine: Engine, data: Data, last: Candidate, which: int, scatter: S
 def missing(
     engine: Engine, lines: Frf, selection: Selection, limits: Limits, scatter: Scatter, data: Data, train: Frf,
     test: Frf, base_error: tuple[float, float], extended_error: tuple[float, float], measured: bool,
+    score: tuple[float, float],
 ) -> bool:  # fmt: skip
     """Whether something is missing though it has no name: the base is far off, or some extension predicts better."""
+    if foretells(score, limits.doubt, limits, base_error[1]):
+        return True
     if measured and selection.chain[0].fit.objective > limits.misfit * 2 * data.value.size:
         return True
     if extended_error[1] < limits.doubt * base_error[1]:
@@ -130,4 +142,20 @@ def missing(
     law = selection.general
     if law is None:
         return False
+    if not law.last.groups:
+        return spoilt(selection, limits, data)
     return errors_of(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1] < limits.doubt * base_error[1]
+
+
+def spoilt(selection: Selection, limits: Limits, data: Data) -> bool:
+    """Whether a channel or a support that may do anything takes away a good part of what the base leaves.
+
+    Such a law foretells nothing, so that held-out data cannot judge it; what it is worth shows in the objective, from
+    which its own price has been taken off.
+    """
+    base, law = selection.chain[0], selection.general
+    if law is None or law.last.groups or law.cost > limits.doubt * base.cost:
+        return False
+    if selection.stages and law.cost > min(c.cost for c in selection.stages[0]):
+        return False
+    return (base.cost - law.cost) / max(dispersion(law.fit, data), 1.0) > limits.alarm

@@ -19,13 +19,16 @@ from labnnum.mechanisms.laws import Law, Local, Spring
 from labnnum.mechanisms.local_dashpot import relative
 from labnnum.parameters import Parameter
 
-N_BASIS = 7
+RELAXATIONS = (1.0, 0.15, 6.0)
+"""Corner frequencies over the middle of the band; together they come close to any loss that creeps."""
+
+N_BASIS = 6 + len(RELAXATIONS)
 
 
 @final
 @dataclass(frozen=True)
 class GeneralLaw(Law):
-    """g = sum c_b g_b(s / w0): 1, s, s^2, i, s^3, s^4 and one relaxation, w0 the middle of the band in rad/s."""
+    """g = sum c_b g_b(s / w0): 1, s, s^2, i, s^3, s^4 and relaxations, w0 the middle of the band in rad/s."""
 
     middle: float = 1.0
     inertial: bool = False  # type: ignore[misc]
@@ -35,7 +38,8 @@ class GeneralLaw(Law):
     def basis(self, s: NDArray) -> NDArray:
         """Shape (N_BASIS, n_f)."""
         x = s / self.middle
-        return np.stack([np.ones_like(x), x, x**2, 1j + 0 * x, x**3 / 3, x**4 / 9, x / (1 + x)])
+        smooth = [np.ones_like(x), x, x**2, 1j + 0 * x, x**3 / 3, x**4 / 9]
+        return np.stack([*smooth, *(x / (corner + x) for corner in RELAXATIONS)])
 
     def value(self, s: NDArray, p: NDArray) -> NDArray:
         """g(s)."""

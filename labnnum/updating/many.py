@@ -13,10 +13,15 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labnnum.errors import EstimationError
 from labnnum.parameters import Parameter, bounds
 
 _BYTES = 64 << 20
 """Memory that the slopes of one group may take."""
+
+LARGEST = float(np.finfo(float).max ** 0.25)
+"""Largest |H| that can be fitted: least squares square residuals, and the square's square, an information, must be a
+number. Ten to the power of 77, in whatever unit."""
 
 
 class ManyFrfs(Protocol):
@@ -92,12 +97,24 @@ def refine_many(
     tolerance : float
         Step, in units of the priors' spread, below which a set has converged.
 
+    Raises
+    ------
+    EstimationError
+        If a measured FRF is not finite, or too large to be squared.
+
     Notes
     -----
     .. math:: \min_\theta \sum_{o,i,f} |\log H(\theta) - \log \hat H|^2
        \quad\text{or}\quad \sum_{o,i,f} |H(\theta) - \hat H|^2 / \sigma^2
     """
     first = np.atleast_2d(np.asarray(start, float))
+    row = first_beyond(measured)
+    if row is not None:
+        number, out, inp, line = row
+        raise EstimationError(
+            f"FRF {number} of {len(measured)}, output {out}, input {inp}, is {abs(measured[row]):.3g} at line {line}:"
+            f" expected finite numbers up to {LARGEST:.0e}; check that channel's unit and sensitivity"
+        )
     parameters = batch.parameters
     low, high = bounds(parameters)
     wide = reach * (high - low)
@@ -214,6 +231,12 @@ class _Group:
             return (value - measured) * weight, slope * weight[:, None]
         ratio = value / measured
         return np.log(np.abs(ratio)) + 1j * np.angle(ratio), slope / value[:, None]
+
+
+def first_beyond(value: NDArray) -> tuple[int, ...] | None:
+    """Index of the first FRF value that is not finite or larger than `LARGEST`; None where all can be computed with."""
+    bad = ~(np.abs(value) <= LARGEST)
+    return tuple(int(i) for i in np.argwhere(bad)[0]) if bad.any() else None
 
 
 def on_sphere(h: NDArray, slope: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

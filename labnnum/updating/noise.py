@@ -12,6 +12,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from labnnum.errors import EstimationError
 from labnnum.frf import Frf
+from labnnum.updating.many import LARGEST
 from labnnum.windows import window
 
 _FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -60,10 +61,15 @@ def noise_of(frf: Frf, mask: NDArray[np.bool_] | None = None) -> Noise:
     """Noise of an Frf on the lines of `mask`, estimated from its roughness where it carries no variance."""
     chosen = np.ones(frf.frequency.size, bool) if mask is None else mask
     estimated = frf.variance is None
-    variance = rough_variance(frf.value) if frf.variance is None else np.asarray(frf.variance)
+    value = np.where(np.abs(frf.value) <= LARGEST, frf.value, 0)  # lines that the bands leave out spoil no other
+    variance = rough_variance(value) if frf.variance is None else np.asarray(frf.variance)
     if not np.isfinite(variance[..., chosen]).all() or (variance[..., chosen] < 0).any():
         raise EstimationError("the FRF's variance must be finite and not negative on every line of the bands")
-    floor = _rounding(frf.value)
+    floor = _rounding(value)
+    spoilt = ~(np.isfinite(variance) & (np.abs(frf.value) <= LARGEST))
+    if spoilt.any():
+        usual = np.median(variance[..., chosen], axis=-1, keepdims=True)
+        variance = np.where(spoilt, usual, variance)
     smooth = np.maximum(smoothed(variance, _width(frf)), floor)
     step = _spacing(frf.frequency)
     position = np.round(frf.frequency[chosen] / step).astype(np.int64)

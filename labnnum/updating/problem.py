@@ -15,7 +15,7 @@ from labnnum.frf import Frf
 from labnnum.parameters import bounds
 from labnnum.response import frf_sensitivity
 from labnnum.structures.base import Structure
-from labnnum.updating.many import on_sphere
+from labnnum.updating.many import LARGEST, first_beyond, on_sphere
 from labnnum.updating.noise import Noise, noise_of
 from labnnum.updating.seen import View
 
@@ -147,16 +147,23 @@ def make_problem(structure: Structure, frf: Frf, bands: Sequence[Band], view: Vi
     ModelError
         If the structure has no free parameter.
     EstimationError
-        If the FRF is not finite there, or has fewer data than there are parameters.
+        If the FRF is not finite there or too large to be squared, or has fewer data than there are parameters.
     """
     if not structure.parameters:
         raise ModelError("the model has no free parameter: add a [[parameter]] entry to its file")
     mask = band_mask(check_bands(bands, frf.frequency), frf.frequency) if bands else np.ones(frf.frequency.size, bool)
-    noise = noise_of(frf, mask)
     cut = frf.at(mask)
-    if not np.isfinite(cut.value).all():
-        line = cut.frequency[int(np.flatnonzero(~np.isfinite(cut.value).all(axis=(0, 1)))[0])]
-        raise EstimationError(f"the FRF is not finite at {line:g} Hz: leave that line out of the bands")
+    row = first_beyond(cut.value)
+    if row is not None:
+        out, inp, line = row
+        which, at = f"{cut.outputs[out].name}/{cut.inputs[inp].name}", f"{cut.frequency[line]:g} Hz"
+        if not np.isfinite(cut.value[row]):
+            raise EstimationError(f"the FRF {which} is not finite at {at}: leave that line out of the bands")
+        raise EstimationError(
+            f"the FRF {which} is {abs(cut.value[row]):.3g} at {at}, beyond the {LARGEST:.0e} that can be computed with:"
+            " check that channel's unit and sensitivity, or leave the line out of the bands"
+        )
+    noise = noise_of(frf, mask)
     if 2 * cut.value.size < len(structure.parameters):
         raise EstimationError(
             f"{cut.frequency.size} lines cannot determine {len(structure.parameters)} parameters: widen the bands"

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.component import LAWS, Test, identify_component
+from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.errors import FileError
 from labnnum.recording import Recording
+from labnnum.structures.modal import ModalStructure
 from sessions.exchange import read_any
+from sessions.model import Model
 from sessions.prove.real_f16 import f16
 from sessions.prove.real_figures import record_figure
 from sessions.prove.real_rows import Row, said
@@ -81,6 +84,7 @@ def silverbox(data: Path, examples: Path, out: Path) -> list[Row]:
     if answer is None:
         return rows
     every = [r for r in _recordings(file, examples / "channels.toml")]
+    rows += _margin(answer, model, next(r for r in every if r.label.endswith("multisine 10")))
     for label, published in (("arrow", "linear 14.3, Duffing 0.385, NARX 4.15, black boxes 0.26"),
                              ("multisine 10", "Duffing 0.30")):  # fmt: skip
         one = next(r for r in every if r.label.endswith(label))
@@ -99,6 +103,27 @@ def silverbox(data: Path, examples: Path, out: Path) -> list[Row]:
         rows.append(Row("Silverbox", f"{label}, extended, six parts in turn, mV RMS", parts, ""))
         plain, own = (measured - 1e-3 * left[name] for name in ("linear base", "extended"))
         record_figure(out / f"{label}.svg", one.rate, measured, plain, own, "V")
+    return rows
+
+
+def _margin(found: NonlinearAnswer, model: Model, held: Recording) -> list[Row]:
+    """What each single law leaves of a multisine that none was fitted to, and the runner-up's error over the best's."""
+    from labnnum.diagnosis.nonlinear.margin import single_laws
+    from labnnum.diagnosis.nonlinear.merge import own_scatter
+    from labnnum.diagnosis.nonlinear.predict import padded, response
+
+    error = model.structure.error if isinstance(model.structure, ModalStructure) else 0.0
+    run, measured = padded(held, 205.0, 0.0), held.data[held.outputs[0]]
+    left = []
+    for one in single_laws(found, own_scatter(error)):
+        made = response(one, run)[0, : measured.size]
+        left.append((1e3 * _rms(measured - made), one.laws[0].mechanism))
+    left.sort()
+    each = ", ".join(f"{name} {value:.3f}" for value, name in left)
+    rows = [Row("Silverbox", "first selection, one law alone, multisine 10, mV RMS", each, "")]
+    if len(left) > 1:
+        what = f"margin of the first choice, {left[0][1]} before {left[1][1]}"
+        rows.append(Row("Silverbox", what, f"{left[1][0] / left[0][0]:.2f}", "asked for 2.5"))
     return rows
 
 

@@ -19,15 +19,12 @@ from labnnum.diagnosis.verdict import Named
 from labnnum.mechanisms.base import Place, Term
 from sessions.model import Model
 from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, svg
-from sessions.report.nonlinear import nonlinear_section
+from sessions.report.nonlinear import SHOWN, levels_section, nonlinear_section
 from sessions.report.numbers import percent, with_error
 from sessions.report.page import _template
 from sessions.report.sections import Section, figure, notes, table
 
 ALARM = "#b3261e"
-SHOWN = 8
-"""Responses that are drawn."""
-
 TITLES = {
     "consistent": ("The nominal model explains the data.", "good"),
     "parameters": ("The model with updated parameters explains the data.", "good"),
@@ -42,7 +39,7 @@ def write_page(path: Path, model: Model, d: Diagnosis) -> Path:
     made = [
         answer_section(d),
         drawing_section(d),
-        fit_section(d),
+        levels_section(d) or fit_section(d),
         nonlinear_section(d),
         stiffness_section(d),
         rivals_section(d),

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import matplotlib
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from labnnum.diagnosis import Diagnosis
-from sessions.report.figures import _STYLE, AFTER, MEASURED, svg
+from labnnum.diagnosis.nonlinear.decision import KNOWN
+from labnnum.diagnosis.nonlinear.joined import Predicted, levels
+from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, svg
+from sessions.report.figures import RASTER_FROM as MANY
 from sessions.report.numbers import percent
 from sessions.report.sections import Section, figure, table
+
+SHOWN = 8
+"""Responses that are drawn."""
 
 
 def nonlinear_section(d: Diagnosis) -> Section | None:
@@ -33,6 +41,85 @@ def nonlinear_section(d: Diagnosis) -> Section | None:
         )
         body += figure(restoring_figure(d), "Dots: recovered. Line: the best law along the same motion.")
     return Section("nonlinear", "Nonlinear physics", body)
+
+
+def levels_section(d: Diagnosis) -> Section | None:
+    """FRFs of every run beside those of the base model and of the model with its laws; None for a linear diagnosis."""
+    found = d.detail.get("nonlinear")
+    if found is None:
+        return None
+    with_laws = bool(found.named) or found.reason == KNOWN
+    base = levels(found, linear=True)
+    extended = levels(found) if with_laws else None
+    n_train = len(found.study.runs)
+    shown = each_level([(p.run.level, i >= n_train) for i, p in enumerate(base)])
+    body = Markup("<p>{}</p>").format(
+        "The FRF that each run measured, and what the models make of the same input"
+        + (": the laws are simulated in time at that run's level. " if with_laws else ". ")
+        + "One run a level; those marked as held out were not fitted to. Below: what each model leaves of it."
+    )
+    rows = [
+        ["base (parameters updated)", percent(d.base_error[0]), percent(d.base_error[1])],
+        ["extended", percent(d.extended_error[0]), percent(d.extended_error[1])],
+        ["noise floor", "", percent(d.noise_floor)],
+    ]
+    body += table(["model", "error, training", "error, held out"], rows, (1, 2))
+    outputs = base[0].run.outputs
+    for o in range(min(len(outputs), SHOWN)):
+        drawn = levels_figure(base, extended, o, shown, n_train)
+        body += figure(drawn, f"{outputs[o].name} over {base[0].run.input.name}")
+    return Section("fit", "Before and after, level by level", body)
+
+
+def each_level(runs: Sequence[tuple[float, bool]], same: float = 1.1) -> list[int]:
+    """Numbers of the runs to draw: one a level, a run held out rather than one that was fitted to, levels ascending.
+
+    Parameters
+    ----------
+    runs : sequence of (level, held out)
+    same : float
+        Ratio of two levels up to which they count as one.
+
+    Examples
+    --------
+    >>> each_level([(1.0, False), (3.0, False), (3.1, True)])
+    [0, 2]
+    """
+    out: list[int] = []
+    for i in sorted(range(len(runs)), key=lambda i: runs[i][0]):
+        if out and runs[i][0] < same * runs[out[-1]][0]:
+            if runs[i][1] and not runs[out[-1]][1]:
+                out[-1] = i
+        else:
+            out.append(i)
+    return out
+
+
+def levels_figure(
+    base: Sequence[Predicted], extended: Sequence[Predicted] | None, o: int, shown: Sequence[int], n_train: int
+) -> str:
+    """SVG: FRF and residuals of response `o`, a column a run of `shown`."""
+    with matplotlib.rc_context(_STYLE):
+        fig = Figure(figsize=(max(7.5, 2.2 * len(shown)), 3.8), layout="constrained")
+        axes = fig.subplots(2, len(shown), sharex="col", sharey="row", squeeze=False, height_ratios=(3, 2))
+        for (top, low), i in zip(axes.T, shown, strict=True):
+            plain = base[i]
+            f, measured = plain.frf()
+            top.semilogy(f, np.abs(measured[o]), color=MEASURED, lw=1.4, label="measured", rasterized=f.size > MANY)
+            curves = [("base", BEFORE, "--", plain.frf(made=True)[1][o])]
+            if extended is not None:
+                curves.append(("extended", AFTER, "-", extended[i].frf(made=True)[1][o]))
+            for name, colour, style, h in curves:
+                top.semilogy(f, np.abs(h), color=colour, lw=1.0, ls=style, label=name, rasterized=f.size > MANY)
+                left = np.abs(h - measured[o]) + 1e-300
+                low.semilogy(f, left, color=colour, lw=0.9, rasterized=f.size > MANY)
+            held = ", held out" if i >= n_train else ""
+            top.set_title(f"input {plain.run.level:.3g} RMS{held}", fontsize=8)
+            low.set_xlabel("frequency, Hz")
+        axes[0, 0].legend(fontsize=7)
+        axes[0, 0].set_ylabel("|FRF|")
+        axes[1, 0].set_ylabel("residual")
+        return svg(fig)
 
 
 def _share(x: float | None) -> str:

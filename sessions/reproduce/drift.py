@@ -61,7 +61,8 @@ class Block:
     end : float
         Seconds since the start.
     truth, estimate, std : ndarray, shape (n_parameters,)
-        Truth at the middle of what was measured, which is when the first half of the block was.
+        Truth at the middle of what was measured, which is when the first half of the block was; the deviations hold
+        what the parameters move during that period.
     fixed, adaptive : (decay in 1/s, modulus margin)
         Of the nominal gain and of the one in force after the block, on the truth at its end; the margin of an unstable
         loop is 0.
@@ -116,6 +117,8 @@ def drift(blocks: int, seed: int, say: Say, ratio: float = 1e-2, samples: int = 
             halves.append(plant.run(g, sign, measured))
         before = halves[-1]
         found, std, warnings, latency = _updated(updater, halves)
+        if out:
+            std = with_drift(std, found, out[-1].estimate)
         begin = time.perf_counter()
         g = gains(np.clip(found, *_reach()), w)
         latency["gains"] = time.perf_counter() - begin
@@ -126,6 +129,21 @@ def drift(blocks: int, seed: int, say: Say, ratio: float = 1e-2, samples: int = 
         ))  # fmt: skip
         say("drifting", number + 1, blocks)
     return out
+
+
+def with_drift(std: NDArray, found: NDArray, before: NDArray) -> NDArray[np.float64]:
+    """Deviations (n_parameters,) of a block with what the parameters move while they are measured.
+
+    A refinement knows noise and the model's error line by line, and takes the parameters as constant. What moves evenly
+    from the estimate of the block `before` to the one `found` covers a quarter of that way during the period in which
+    it is measured, and is spread evenly over it: a deviation of that quarter over the root of twelve.
+
+    Examples
+    --------
+    >>> with_drift(np.array([3.0, 3.0]), np.array([10.0, 10.0]), np.array([10.0, 10.0 - 16 * 12**0.5]))
+    array([3., 5.])
+    """
+    return np.hypot(std, (found - before) / 4 / np.sqrt(12))
 
 
 def _truth_in(number: int, period: int, blocks: int, share: float) -> NDArray[np.float64]:

@@ -1,11 +1,14 @@
 """Diagnosis of concealed cases as a user would run it: a sample of `labnnum prove linear`."""
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from labnnum.diagnosis import observe, observe_all
+from labnnum.diagnosis.decide import _confidence
 from labnnum.diagnosis.gates import clipped_channel
 from labnnum.diagnosis.observe import clipping, is_hit, noise_from_smoothness
 from labnnum.errors import InputError
@@ -53,7 +56,9 @@ def test_a_gross_fault_is_named_where_it_is(tmp_path, fault, severity, verdict):
     assert abs(stated["value"] - true["value"]) < max(0.1 * abs(true["value"]), 4 * stated["std"])
 
 
-@pytest.mark.parametrize(("structure", "fault"), [("chain", "misplaced-sensor"), ("base-beam", "rocking-base")])
+@pytest.mark.parametrize(
+    ("structure", "fault"), [("chain", "misplaced-sensor"), ("base-beam", "rocking-base"), ("free-beam", "crosstalk")]
+)
 def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault):
     truth, content = diagnosed(tmp_path, 2, structure, fault, 0.9)
     (concealed,) = truth["faults"]
@@ -61,6 +66,15 @@ def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault):
     assert content["mechanism"] is None
     assert same_place(content["place"], concealed)
     assert same_place(content["located"][0]["place"], concealed)
+
+
+def test_a_spring_that_holds_a_free_body_is_named(tmp_path):
+    """The resonance that it makes of a rigid-body motion has no damping ratio of the structure's."""
+    truth, content = diagnosed(tmp_path, 2, "free-beam", "ground-stiffness", 0.8)
+    assert content["mechanism"]["id"] == "ground-stiffness"
+    assert same_place(content["place"], truth["faults"][0])
+    (stated,) = content["mechanism"]["parameters"].values()
+    assert stated["value"] == pytest.approx(truth["faults"][0]["parameters"]["k"]["value"], rel=0.03)
 
 
 def test_files_of_an_answer(tmp_path):
@@ -148,3 +162,12 @@ def test_a_sensor_the_model_lacks_is_named(tmp_path):
     with pytest.raises(InputError, match="x"):
         diagnose_files(paths, tmp_path / "model.toml", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_candidate_that_was_fitted_after_its_stage_has_a_share_too():
+    def candidate(name, cost) -> Any:
+        return SimpleNamespace(last=SimpleNamespace(mechanism=SimpleNamespace(id=name), place="1"), cost=cost)
+
+    stage = [candidate("added-mass", 10.0), candidate("local-dashpot", 12.0)]
+    assert _confidence(stage, stage[0]) == pytest.approx(1 / (1 + np.exp(-1)))
+    assert _confidence(stage, candidate("joint-stiffness", 8.0)) == pytest.approx(1 / (1 + np.exp(-1) + np.exp(-2)))

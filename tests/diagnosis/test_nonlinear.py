@@ -6,6 +6,7 @@ import pytest
 from labnnum.diagnosis import diagnose, observe_all
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.detect import signs
+from labnnum.diagnosis.nonlinear.joined import levels
 from labnnum.diagnosis.nonlinear.march import CODES
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
@@ -16,6 +17,7 @@ from labnnum.recording import Channel, Recording
 from labnnum.structures import Chain
 from labnnum.structures.chain import Link
 from labnnum.system import system
+from sessions.report.nonlinear import levels_section
 
 RATE, PERIOD = 40.0, 512
 OUTPUTS = tuple(Channel(f"a{i}", "acceleration", "response", str(i), "x") for i in (1, 2, 4))
@@ -155,3 +157,17 @@ def test_a_law_between_two_masses_is_located_named_and_measured(law, p, name, va
     assert found.named[0].value[0] == pytest.approx(value, rel=0.1)
     assert found.extended_error[1] < 0.3 * found.base_error[1]
     assert found.as_dict()["mechanism"]["sense"] == ("hardening" if value > 0 else "softening")
+    seen = found.detail["nonlinear"]
+    plain, own = levels(seen, linear=True), levels(seen)
+    assert len(own) == len(seen.study.runs) + len(seen.held_out)
+    assert max(p.run.level for p in own) == pytest.approx(9.0, rel=0.05)
+    for before, after in zip(plain, own, strict=True):
+        f, measured = after.frf()
+        made = after.frf(made=True)[1]
+        assert np.linalg.norm(made - measured) < 0.02 * np.linalg.norm(measured)
+        assert np.array_equal(f, before.frf()[0])
+        if after.run.level > 8:
+            assert np.all(after.error < 0.3 * before.error)
+    page = str(levels_section(found).body)
+    assert page.count("<svg") == len(OUTPUTS)
+    assert "held out" in page

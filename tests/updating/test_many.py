@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from labnnum.errors import EstimationError
 from labnnum.structures.examples import EXAMPLES
 from labnnum.updating import refine
 from labnnum.updating.batch import FrfBatch
@@ -82,3 +83,23 @@ def test_far_starts_are_tried_where_nominal_leads_nowhere():
         estimate = refine(example.structure, frf, bands=example.bands)
         assert np.abs((estimate.value - theta) / estimate.std).max() < 5
         assert estimate.chi2 < 1.5
+
+
+@pytest.mark.parametrize("size", [1e90, 1e200, np.nan, np.inf])
+def test_an_frf_too_large_to_square_is_named(case, size):
+    example, batch = case
+    start = np.repeat(example.structure.nominal[None], 3, axis=0)
+    value = batch.frf(start)
+    value[1, -1, 0, 7] = size
+    where = f"FRF 1 of 3, output {len(batch.outputs) - 1}, input 0, is {size:.3g} at line 7"
+    for approach in (False, True):
+        with pytest.raises(EstimationError, match=where.replace("+", r"\+")):
+            refine_many(batch, value, start, approach=approach)
+
+
+def test_an_frf_as_large_as_can_be_is_fitted():
+    example = EXAMPLES["truck"]()
+    f = np.linspace(1.0, 6.9, 60)
+    batch = FrfBatch.of(example.structure, f, example.outputs[:1], example.inputs)
+    value = 1e60 * batch.frf(example.structure.nominal[None])
+    assert np.isfinite(refine_many(batch, value, example.structure.nominal[None], approach=True).value).all()

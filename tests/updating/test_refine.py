@@ -131,3 +131,35 @@ def test_what_is_refused():
     with pytest.raises(EstimationError, match="variance must be finite"):
         refine(STRUCTURE, Frf(frf.frequency, frf.value, frf.outputs, frf.inputs, variance=frf.variance * np.nan))
     assert noise_of(frf).estimated is False
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("residual", ["complex", "log"])
+@pytest.mark.parametrize(("size", "said"), [(1e90, "1e+90"), (1e160, "1e+160"), (1e300, "1e+300")])
+def test_an_frf_that_overflows_names_its_channels_and_line(size, said, residual, known):
+    frf = measured(STRUCTURE, STRUCTURE.nominal, LINES, OUTPUTS, INPUTS, relative=0.01, known=known)
+    value = frf.value.copy()
+    value[0, 0, 7] = size
+    names = f"{OUTPUTS[0].name}/{INPUTS[0].name}"
+    with pytest.raises(EstimationError, match=f"the FRF {names} is {said.replace('+', '.')} at {LINES[7]:g} Hz"):
+        refine(STRUCTURE, Frf(frf.frequency, value, OUTPUTS, INPUTS, variance=frf.variance), residual=residual)
+
+
+def test_an_frf_that_is_not_finite_names_its_channels_and_line():
+    frf = measured(STRUCTURE, STRUCTURE.nominal, LINES, OUTPUTS, INPUTS, relative=0.01)
+    value = frf.value.copy()
+    value[0, 0, 3] = np.nan
+    with pytest.raises(EstimationError, match=f"{OUTPUTS[0].name}/{INPUTS[0].name} is not finite at {LINES[3]:g} Hz"):
+        refine(STRUCTURE, Frf(LINES, value, OUTPUTS, INPUTS, variance=frf.variance))
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("value", [1e200, np.nan, np.inf])
+def test_a_line_outside_the_bands_may_hold_anything(value, known):
+    frf = measured(STRUCTURE, STRUCTURE.nominal, LINES, OUTPUTS, INPUTS, relative=0.01, known=known)
+    spoilt = frf.value.copy()
+    assert not any(b.low <= LINES[7] <= b.high for b in BANDS)
+    spoilt[0, 0, 7] = value
+    sound = refine(STRUCTURE, frf, bands=BANDS)
+    found = refine(STRUCTURE, Frf(LINES, spoilt, OUTPUTS, INPUTS, variance=frf.variance), bands=BANDS)
+    assert np.allclose(found.value, sound.value, rtol=0.02 if not known else 1e-6)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of,
 from labnnum.diagnosis.nonlinear.explore import Prospect
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.problem import Made
+from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import scale_std
 from labnnum.diagnosis.nonlinear.shown import Curve, curves
 from labnnum.diagnosis.nonlinear.suspect import heard
@@ -66,6 +67,8 @@ class NonlinearAnswer:
     """Steady states of the last fit, of training runs and of those held out."""
     lying: int | None = None
     """Number of a response that was left out, because a law explains the others far better without it."""
+    held_out: tuple[Run, ...] = ()
+    scatter: Scatter = field(default_factory=Scatter)
 
 
 NAMELESS = "a smooth law that the catalogue does not hold explains it best"
@@ -156,7 +159,7 @@ def decide(
     return NonlinearAnswer(
         names, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
-        noise, gained, tuple(orbits),
+        noise, gained, tuple(orbits), held_out=tuple(o.run for o in test if o.run is not None), scatter=scatter,
     )  # fmt: skip
 
 
@@ -177,7 +180,8 @@ def unsimulated(
     return NonlinearAnswer(
         (), place, _alternatives(best, rivals, Limits()), _located(found), error, error,
         NAMELESS if seen.nameless else NOTHING, (), (), curves(found, best), found, (best,), seen.level, seen.base.x,
-        noise_of(test or train), seen.nameless,
+        noise_of(test or train), seen.nameless, held_out=tuple(o.run for o in test if o.run is not None),
+        scatter=scatter,
     )  # fmt: skip
 
 

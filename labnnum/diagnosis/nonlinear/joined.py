@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,10 +72,42 @@ class Predicted:
         missed = np.sum(np.abs(self.made - self.measured) ** 2, axis=1)
         return np.sqrt(missed / np.sum(np.abs(self.measured) ** 2, axis=1))
 
+    def frf(self, made: bool = False, bins: int = 400) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+        """Frequencies (n,) and FRFs (n_out, n), measured or `made`.
+
+        On excited lines of a period; of records that are not periodic H1 over neighbouring lines, in `bins` bins.
+        """
+        y, u = self.made if made else self.measured, self.input
+        if self.run.lasting:
+            at = np.round(self.frequency * self.run.period / self.run.rate).astype(int)
+            on = self.run.excited[at]
+            return self.frequency[on], y[:, on] / u[on]
+        size = max(1, -(-u.size // bins))
+        cuts = np.arange(0, u.size, size)
+        power = np.add.reduceat(np.abs(u) ** 2, cuts)
+        count = np.add.reduceat(np.ones(u.size), cuts)
+        h = np.asarray(np.add.reduceat(y * u.conj(), cuts, axis=1) / power, complex)
+        return np.add.reduceat(self.frequency, cuts) / count, h
+
+
+def levels(found: NonlinearAnswer, *, linear: bool = False) -> list[Predicted]:
+    """Every run of a nonlinear diagnosis, of training and then held out, as the model found predicts it.
+
+    Parameters
+    ----------
+    linear : bool
+        By the base model alone. Sensors' ordinary errors are fitted to the training runs either way.
+    """
+    runs = found.study.runs
+    return predictions(
+        found, runs, found.held_out, found.scatter, linear=linear, trimmed=True, start=() if linear else found.orbits
+    )
+
 
 def predictions(
-    found: NonlinearAnswer, train: Sequence[Run], test: Sequence[Run], scatter: Scatter, *, linear: bool = False
-) -> list[Predicted]:
+    found: NonlinearAnswer, train: Sequence[Run], test: Sequence[Run], scatter: Scatter, *, linear: bool = False,
+    trimmed: bool | None = None, start: Sequence[Any] = (),
+) -> list[Predicted]:  # fmt: skip
     """Responses of the diagnosed model to `train` and `test`.
 
     The sensors' ordinary errors (of the shapes there, within `scatter`) are fitted to `train` once and held for all.
@@ -83,16 +115,22 @@ def predictions(
     Parameters
     ----------
     linear : bool
-        Of the base model alone, as it was identified: its sensors' errors are not fitted.
+        Of the base model alone, as it was identified: its sensors' errors are not fitted unless `trimmed` says so.
+    trimmed : bool, optional
+        Whether sensors' errors are fitted; by default where `linear` is not.
+    start : sequence of Orbit
+        Steady states to begin from, a run each.
     """
+    trimmed = not linear if trimmed is None else trimmed
     study, last = found.study, found.laws[-1].made
     runs = [*train, *test]
     lines = [choose_lines(r, 0, scatter.floor) for r in runs]
     joint = Joint(study.engine, study.point, runs, () if linear else last.terms, scatter, lines)
     x = found.base_x if linear else last.x
-    left, b = joint.parts(x, joint.settle(x, [None] * len(runs), 15))
+    begin = list(start) if len(start) == len(runs) else [None] * len(runs)
+    left, b = joint.parts(x, joint.settle(x, begin, 15))
     cuts = np.cumsum([2 * one.at.size for one in lines])
-    if train and not linear:
+    if train and trimmed:
         own = slice(0, cuts[len(train) - 1])
         gram = np.matmul(b[..., own], b[..., own].transpose(0, 2, 1)) + np.eye(b.shape[1])
         size = np.linalg.solve(gram, np.matmul(b[..., own], left[:, own, None]))

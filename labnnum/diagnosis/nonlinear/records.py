@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
+from labnnum.diagnosis.hits import without_offset
 from labnnum.diagnosis.nonlinear.moved import CHANCE, moved
 from labnnum.diagnosis.nonlinear.run import Run, resampled
 from labnnum.recording import Recording
@@ -84,8 +85,7 @@ def hits_of(o: Observation) -> list[Run]:
         for a, b in recording.spans():
             if b - a < n:
                 continue
-            x = recording.data[:, a : a + n]
-            x = x - np.median(x[:, -max(n // 10, 1) :], axis=1, keepdims=True)
+            x = without_offset(recording.data[:, a : a + n], recording.inputs[0])
             spectra = np.fft.rfft(x * np.exp(-decay * np.arange(n) / recording.rate), axis=1) * (2 / n)
             out.append(_made(recording, spectra, n, decay, False, recording.label))
     return out

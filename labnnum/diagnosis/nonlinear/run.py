@@ -120,7 +120,8 @@ def run_of(
         grid = np.arange(on.size)
         through = np.array([np.interp(grid, lines, r.real) + 1j * np.interp(grid, lines, r.imag) for r in h])
         each = spectra - mean
-        error = each[:, outputs] - np.where(on, through, 0.0) * each[:, inputs[0]][:, None]
+        between = (grid >= lines[0]) & (grid <= lines[-1])  # what is recorded as input there is noise too
+        error = each[:, outputs] - np.where(between, through, 0.0) * each[:, inputs[0]][:, None]
         noise = np.mean(np.abs(error) ** 2, axis=0) / (n_periods - 1)
         noise = uniform_filter1d(noise, min(25, max(noise.shape[1] // 8, 1)), axis=1, mode="nearest")
     else:
