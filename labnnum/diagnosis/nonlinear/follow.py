@@ -23,7 +23,7 @@ from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.locate import motion_of, window_of
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
-from labnnum.diagnosis.nonlinear.receptance import Base
+from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Orbit
 
@@ -49,16 +49,25 @@ class Followed(Joint):
         self.measured = tuple(runs)
         self.slow = 0.0
         self.all_lines: dict[Any, Base] = {}
+        self.whole: dict[Any, Receptance] = {}
         for key in {r.key for r in runs}:
             period, rate, decay = key
             omega = 2 * np.pi * np.arange(period // 2 + 1) * rate / period
             self.all_lines[key] = Base(engine, point, term.column[:, None], omega, decay)
 
+    def receptances(self, x: NDArray) -> dict[Any, Receptance]:
+        """One for each period length, on the lines compared; `whole` has them on all lines."""
+        key = x[: self.n_base].tobytes()
+        if self._last is None or self._last[0] != key:
+            self.whole = {k: b.at(x[: self.n_base]) for k, b in self.all_lines.items()}
+            self._last = (key, {k: _on(r, self.bases[k].lines) for k, r in self.whole.items()})
+        return self._last[1]
+
     def settle(self, x: NDArray, orbits: Sequence[Orbit | None], steps: int) -> list[Orbit | None]:
         """The recovered motion at `x` and the law's force along it."""
         p = self.laws(x)[0]
-        made = {key: b.at(x[: self.n_base]) for key, b in self.all_lines.items()}
-        seen = [motion_of(run, made[run.key])[:3] for run in self.measured]
+        self.receptances(x)
+        seen = [motion_of(run, self.whole[run.key])[:3] for run in self.measured]
         self.slow = SLOW * max(float(np.sqrt(np.mean(v**2))) for _, v, _ in seen)
         return [self._orbit(run, m, p) for run, m in zip(self.measured, seen, strict=True)]
 
@@ -107,6 +116,11 @@ class Followed(Joint):
             change = np.concatenate([change, np.array(through)])
             out.append(self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)))
         return np.concatenate(out, axis=-1), list(orbits)
+
+
+def _on(r: Receptance, lines: NDArray) -> Receptance:
+    """The receptance with its sensors on some of its lines."""
+    return replace(r, plain=r.plain[:, lines], h=r.h[..., lines], lift=r.lift[:, lines], lines=lines, marches={})
 
 
 def marched_from(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> list[Orbit | None]:

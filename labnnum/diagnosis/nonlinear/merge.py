@@ -142,6 +142,9 @@ def merged(
 ) -> Diagnosis:
     """One diagnosis: what the gates found, the nonlinear law, then what the linear search names beside it."""
     beside = rest.named if found.named and rest.verdict in ("missing-physics", "measurement-fault") else ()
+    if found.misfit > MISFIT:  # what a law leaves at its own place is its own
+        own = {(n.place.id, n.place.to) for n in found.named}
+        beside = tuple(n for n in beside if (n.place.id, n.place.to) not in own)
     named = (*gated, *found.named, *beside)
     verdict = "missing-physics" if found.named else "unexplained"
     if not found.named and rest.verdict == "measurement-fault":
