@@ -33,11 +33,17 @@ def adaptive(t, law, w=W, zeta=ZETA):
     return found.y
 
 
+def beyond(z, limit):
+    return np.sign(z) * max(abs(z) - limit, 0)
+
+
 @pytest.mark.parametrize(
     ("kind", "constants", "law"),
     [
         (m.CUBIC, (800.0,), lambda z, v: 800 * z**3),
         (m.QUADRATIC, (40.0,), lambda z, v: 40 * z**2),
+        (m.CUBIC, (-300.0, 0.4), lambda z, v: -300 * (min(max(z, -0.4), 0.4) ** 3 + 0.48 * beyond(z, 0.4))),
+        (m.QUADRATIC, (300.0, 0.4), lambda z, v: 300 * (max(z, -0.4) ** 2 - 0.8 * min(z + 0.4, 0))),
         (m.GAP, (3000.0, 0.3), lambda z, v: 3000 * max(z - 0.3, 0)),
         (m.CLEARANCE, (3000.0, 0.3), lambda z, v: 3000 * (max(z - 0.3, 0) + min(z + 0.3, 0))),
         (m.DRAG, (0.5,), lambda z, v: 0.5 * v * abs(v)),

@@ -98,8 +98,14 @@ def _sign(x):
 def _smooth(kind, c, z, v):
     """Force of a law without memory, its slopes to stretch and speed, and the number of its branch."""
     if kind == CUBIC:
+        if c[0] < 0 and abs(z) > c[1] > 0:  # it gives way no further
+            slope = 3 * c[0] * c[1] * c[1]
+            return np.sign(z) * c[0] * c[1] ** 3 + slope * (z - np.sign(z) * c[1]), slope, 0.0, 0
         return c[0] * z**3, 3 * c[0] * z * z, 0.0, 0
     if kind == QUADRATIC:
+        if c[0] * z < 0 and abs(z) > c[1] > 0:
+            slope = 2 * c[0] * np.sign(z) * c[1]
+            return c[0] * c[1] * c[1] + slope * (z - np.sign(z) * c[1]), slope, 0.0, 0
         return c[0] * z * z, 2 * c[0] * z, 0.0, 0
     if kind == GAP:
         if z > c[1]:

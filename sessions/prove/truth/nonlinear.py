@@ -127,14 +127,15 @@ def _spot(rng: Generator, state: State, lossy: bool) -> tuple[NDArray[np.float64
     """Where a law sits: from a node to the fixture, or across a joint; and whether it works on an angle.
 
     Across a joint of a beam or frame it works on the angle between the nodes, or on their motion across. A
-    floating beam would be pushed away for good by a spring law from the fixture: there it gets joints only.
+    floating beam would be pushed away for good by a spring law from the fixture, and turned for good by two equal
+    forces across it: there it gets angles only.
     """
     grounded = rng.random() < (0.5 if state.bench.kind == "chain" else 0.75)
     if grounded and (lossy or state.bench.kind != "free-beam"):
         node, axis = any_node(rng, state)
         return node_row(state, node, axis), ground(node), False
     home = any_element(rng, state, free=True)
-    if state.bench.kind == "chain" or rng.random() < 0.5:
+    if state.bench.kind in ("chain", "free-beam") or rng.random() < 0.5:
         return strain_row(state, home)[0], joint(home), state.bench.kind != "chain"
     axis = 1 if state.bench.kind != "frame" else across(state.bench.coarse, home[1])
     return node_row(state, home[1], axis) - node_row(state, home[0], axis), joint(home), False
@@ -163,21 +164,25 @@ def law(name: str, choose: Callable[[Generator, float, Sizes], Choice], inside: 
 
 
 def _cubic(rng: Generator, severity: float, sizes: Sizes) -> Choice:
-    """A spring that hardens or softens with the cube of its stretch."""
+    """A spring that hardens or softens with the cube of its stretch, until it has taken all the stiffness there."""
     z, _, k, _ = sizes
     soft = rng.random() < 0.3
     share = scale(0.003, 0.03, severity) if soft else scale(0.003, 0.6, severity)
     k3 = (-share if soft else share) * k / (3 * z**2)
     sense = "softening" if soft else "hardening"
-    return march.CUBIC, (k3,), share, EXTRA, {"k3": quantity(k3, "N/m^3")}, sense
+    return march.CUBIC, (k3, np.sqrt(k / (3 * abs(k3)))), share, EXTRA, {"k3": quantity(k3, "N/m^3")}, sense
 
 
 def _quadratic(rng: Generator, severity: float, sizes: Sizes) -> Choice:
-    """A spring whose force grows with the square of its stretch, one way only."""
+    """A spring whose force grows with the square of its stretch, one way only.
+
+    On the side where it softens it takes no more than the stiffness that is there: beyond, its force grows in
+    proportion, or else the structure would run away from it.
+    """
     z, _, k, _ = sizes
     share = scale(0.004, 0.18, severity)
     k2 = share * k / (2 * z) * (1 if rng.random() < 0.5 else -1)
-    return march.QUADRATIC, (k2,), share, EXTRA, {"k2": quantity(k2, "N/m^2")}, ""
+    return march.QUADRATIC, (k2, k / (2 * abs(k2))), share, EXTRA, {"k2": quantity(k2, "N/m^2")}, ""
 
 
 def _gap(rng: Generator, severity: float, sizes: Sizes) -> Choice:
