@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import TypeVar
 
 THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -30,7 +31,7 @@ def each(function: Callable[[Item], Result], items: Sequence[Item], jobs: int = 
         return
     for name in THREAD_SETTINGS:
         os.environ.setdefault(name, "1")
-    pool = ProcessPoolExecutor(min(jobs, len(items)), mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(min(jobs, len(items)), mp_context=get_context("spawn"), initializer=_go_with_parent)
     try:
         asked: dict[Future[Result], Item] = {pool.submit(function, item): item for item in items}
         waiting = set(asked)
@@ -40,3 +41,15 @@ def each(function: Callable[[Item], Result], items: Sequence[Item], jobs: int = 
                 yield asked[future], future.result()
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _go_with_parent() -> None:
+    """End this process when the one that started it is gone, however that ended: its queue would wait for ever."""
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
