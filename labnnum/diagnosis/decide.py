@@ -177,8 +177,9 @@ def _one_thing(engine: Engine, data: Data, scatter: Scatter, a: Candidate, b: Ca
     nodes = [{c.last.place.id, c.last.place.to} - {None} for c in (a, b)]
     if "channel" in (a.last.place.kind, b.last.place.kind) or not nodes[0] & nodes[1]:
         return False
-    value = engine.response(b.fit.point, b.terms, data.s).value
-    made = fit(engine, replace(data, value=value), a.terms, scatter, a.fit.point.vector(), steps=20, tolerance=0.01)
+    value = engine.response(b.fit.point, b.fit.terms, data.s).value
+    start = a.fit.point.vector()
+    made = fit(engine, replace(data, value=value), a.fit.terms, scatter, start, steps=20, tolerance=0.01)
     return made.data_part < 4.0
 
 
