@@ -92,21 +92,58 @@ def explore(
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
     progress("locating")
     nominal = engine_start(plain)
+    misled = calm.data_part > MISLED * calm.count
+    other = looked(plain, nominal, spots, unnamed) if misled else ([], [])
+    if misled and carry_on:
+        near = held(bench, nominal, *other, enough=base.data_part * LEAVES)
+        if near:
+            return Prospect(bench, calm, base, tuple(other[0]), tuple(near), tuple(other[1]))
     found, leads = looked(plain, calm.x, spots, unnamed)
     near: list[Tried] = []
     if leads:
         progress("following nonlinear laws along the motion")
         near = followed(bench, (calm.x, nominal), leads, carry_on)
-    if calm.data_part > MISLED * calm.count and not (near and near[0].made.data_part < MISLED * near[0].made.count):
-        other, leads = looked(plain, nominal, spots, unnamed)
-        again = followed(bench, (nominal,), leads, carry_on) if leads else []
+    if misled and not (near and near[0].made.data_part < MISLED * near[0].made.count):
+        again = followed(bench, (nominal,), other[1], carry_on) if other[1] else []
         if again and (not near or again[0].cost < near[0].cost):
-            near, found = sorted([*again, *near], key=lambda t: t.cost), other
+            near, found, leads = sorted([*again, *near], key=lambda t: t.cost), *other
     return Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads)) if near else None
 
 
 MISLED = 5.0
 """Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
+
+
+HELD, SATURATED, LEAVES = 2, 0.5, 0.1
+"""Places at which dry friction is simulated at once, because it may hold there most of the time; the growth of the
+force with level, of the level's own, below which it may be such a force; and the part of what the base leaves that such
+friction may leave for nothing else to be looked for elsewhere."""
+
+
+def held(
+    bench: Bench, nominal: NDArray, found: Sequence[Recovered], leads: Sequence[Lead], enough: float
+) -> list[Tried]:  # fmt: skip
+    """Dry friction simulated from the nominal model where a force explains most of the distortion, and its rivals there.
+
+    What sticks at all levels but the highest shows no motion to follow a law along, and a base that was fitted there is
+    that of another structure. The force there shows its limit: it hardly grows with level. Empty where what is left
+    exceeds `enough`.
+    """
+    low, high = (f([r.level for r in bench.runs]) for f in (np.argmin, np.argmax))
+    grown = bench.runs[high].level / bench.runs[low].level
+    made = []
+    for q in sorted(found, key=lambda q: -q.share):
+        size = [float(np.sqrt(np.mean(f**2))) for f in q.f]
+        if len(made) < HELD and size[high] < SATURATED * grown * size[low]:
+            p = np.zeros(N_P)
+            p[0] = max(size)
+            made.append(bench.direct((nominal,), Lead(q.spot, "coulomb-friction", p, q.gain), LONG))
+    best = min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
+    if best is None or best.made.data_part > enough:
+        return []
+    here = [lead for lead in leads if lead.spot.place == best.spot.place]
+    beside = followed(bench, (best.made.x[: best.made.n_base],), here) if here else []
+    return sorted([*(t for t in made if t is not None), *beside], key=lambda t: t.cost)
 
 
 def looked(

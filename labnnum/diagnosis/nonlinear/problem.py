@@ -21,8 +21,9 @@ from labnnum.errors import EstimationError
 
 FINE_STEPS = 3.3
 """Steps of the march to a period of the highest excited line, at least: harmonics up to the fifth do not fold back."""
-JUMPING = 8.0
-"""The same where a force jumps."""
+JUMPING, JUMPING_LAST = 8.0, 32.0
+"""The same where a force jumps, in the search and in the last fit: a jump that comes half a step late lets its limit
+come out too high, by a third of friction that mostly holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +33,8 @@ class Acting:
     mechanism: str
     column: NDArray[np.float64]
     start: NDArray[np.float64]
-    side: int = 1
+    last: bool = False
+    """Whether this is the last fit, with finer steps."""
 
     @property
     def shape(self) -> LawShape:
@@ -292,7 +294,8 @@ class Joint:
 
 def _fine(run: Run, terms: Sequence[Acting]) -> int:
     top = np.flatnonzero(run.excited)[-1]
-    steps = JUMPING if any(t.shape.law == "coulomb" for t in terms) else FINE_STEPS
+    jumping = [t for t in terms if t.shape.law == "coulomb"]
+    steps = FINE_STEPS if not jumping else JUMPING_LAST if any(t.last for t in jumping) else JUMPING
     fine = 1
     while run.period * fine < steps * top and fine < 16:
         fine *= 2
