@@ -85,9 +85,10 @@ def suspect(
 def explains(seen: Prospect, most: int = 2) -> bool:
     """Whether one of the `most` best laws explains all channels once it is simulated: there is no channel to suspect.
 
+    One that was simulated at once left little of what the base does.
     Along the recovered motion contacts and friction leave more than they do in a simulation.
     """
-    if seen.level < POOR:
+    if seen.level < POOR or seen.near[0].simulated:
         return True
     made = [seen.bench.simulate(t, LONG) for t in seen.near[:most]]
     return any(t is not None and t.made.data_part < POOR * t.made.count for t in made)
