@@ -93,23 +93,26 @@ def explore(
     progress("locating")
     nominal = engine_start(plain)
     misled = calm.data_part > MISLED * calm.count
-    other = looked(plain, nominal, spots, unnamed) if misled else ([], [])
-    if misled and carry_on:
-        near = held(bench, nominal, *other, enough=base.data_part * LEAVES)
-        if near:
-            return Prospect(bench, calm, base, tuple(other[0]), tuple(near), tuple(other[1]))
-    found, leads = looked(plain, calm.x, spots, unnamed)
-    near: list[Tried] = []
-    if leads:
-        progress("following nonlinear laws along the motion")
-        near = followed(bench, (calm.x, nominal), leads, carry_on)
-    if misled and not (near and near[0].made.data_part < MISLED * near[0].made.count):
-        again = followed(bench, (nominal,), other[1], carry_on) if other[1] else []
-        if again and (not near or again[0].cost < near[0].cost):
-            near, found, leads = sorted([*again, *near], key=lambda t: t.cost), *other
-    return Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads)) if near else None
+    strained = not misled and calm.prior_part > STRAINED * plain.n_base
+    rounds = [nominal, calm.x] if misled else [calm.x]
+    best: Prospect | None = None
+    for x in rounds:
+        found, leads = looked(plain, x, spots, unnamed)
+        near: list[Tried] = []
+        if misled and carry_on and x is nominal:
+            near = held(bench, nominal, found, leads, base.data_part * LEAVES)
+        if not near and leads:
+            progress("following nonlinear laws along the motion")
+            near = followed(bench, [x, nominal] if strained else [x], leads, carry_on)
+        if near and (best is None or near[0].cost < best.near[0].cost):
+            best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads))
+        if near and (near[0].simulated or near[0].made.data_part < MISLED * near[0].made.count):
+            break
+    return best
 
 
+STRAINED = 4.0
+"""Price of the base at the quietest level, of its entries, above which its parameters stand in for a law."""
 MISLED = 5.0
 """Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
 
@@ -187,6 +190,8 @@ SLOW = ("stick-slip", "coulomb-friction")
 """Laws that come near late."""
 BEATEN = 10.0
 """Cost, of the least so far, above which a follow is not carried on."""
+EQUAL = 0.9
+"""Part of the gain that the best follow promised from which on another is carried on all the same: it may be slower."""
 PRIME = 2
 """Places, by the best lead and by the best follow after one step, at which every law is carried on: a law with memory
 begins badly where a smooth one does well."""
@@ -227,11 +232,14 @@ def followed(
     limit = NEAR * first[0].cost
     done: list[Tried] = []
     best = np.inf
+    ahead = -np.inf
     for i, t in enumerate(first):
         slow = t.spot.place in prime and t.mechanism in SLOW
-        if t.cost < min(limit, BEATEN * best) and (i < BRIEF or slow):
+        equal = t.lead.gain > EQUAL * ahead
+        if t.cost < (limit if equal else min(limit, BEATEN * best)) and (i < BRIEF or slow):
             t = bench.follow_on(t, LONG)
-        best = min(best, t.cost)
+        if t.cost < best:
+            best, ahead = t.cost, t.lead.gain
         done.append(t)
     done.sort(key=lambda t: t.cost)
     for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:
