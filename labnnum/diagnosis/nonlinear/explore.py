@@ -94,7 +94,7 @@ def explore(
     nominal = engine_start(plain)
     misled = calm.data_part > MISLED * calm.count
     strained = not misled and calm.prior_part > STRAINED * plain.n_base
-    rounds = [nominal, calm.x] if misled else [calm.x]
+    rounds = [nominal, calm.x][: 2 if carry_on else 1] if misled else [calm.x]
     best: Prospect | None = None
     for x in rounds:
         found, leads = looked(plain, x, spots, unnamed)
@@ -126,7 +126,7 @@ friction may leave for nothing else to be looked for elsewhere."""
 def held(
     bench: Bench, nominal: NDArray, found: Sequence[Recovered], leads: Sequence[Lead], enough: float
 ) -> list[Tried]:  # fmt: skip
-    """Dry friction simulated from the nominal model where a force explains most of the distortion, and its rivals there.
+    """Dry friction, simulated from the nominal model, where a force explains most of the distortion; its rivals there.
 
     What sticks at all levels but the highest shows no motion to follow a law along, and a base that was fitted there is
     that of another structure. The force there shows its limit: it hardly grows with level. Empty where what is left

@@ -371,8 +371,8 @@ class Steady:
         slopes = np.empty((self.n, k, nt))
         x, f, memory = orbit.x.copy(), orbit.f.copy(), orbit.memory.copy()
         bad = march(
-            made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, source, self.codes, np.ascontiguousarray(p), x, f,
-            memory, forces, motion, X, df, dmem, dp, ds, slopes,
+            made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, source, self.codes,
+            np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes,
         )  # fmt: skip
         end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(2 * k, nt)])
         return _Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)
