@@ -324,7 +324,7 @@ def fit(
     orbits = joint.settle(x, orbits, 14)
     damping, converged = 1e-3, False
     prior = (scale / joint.std) ** 2
-    best: tuple[float, NDArray, Any, NDArray] | None = None
+    best: tuple[float, NDArray, Any, NDArray, NDArray] | None = None
     reach = np.concatenate([_reach(joint), np.full(x.size - joint.n_base, 0.7)])
     small = 0
     for _ in range(steps):
@@ -343,7 +343,7 @@ def fit(
         gradient -= prior * (x - joint.mean) / scale * np.isfinite(joint.std)
         hessian += np.diag(prior)
         if best is None or value < best[0]:
-            best = (value, x, orbits, hessian)
+            best = (value, x, orbits, hessian, jac)
         moved = False
         for _ in range(5):
             trial = _step(joint, x, gradient, hessian, damping, reach)
@@ -372,8 +372,11 @@ def fit(
     hessian = best[3]
     d = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     inverse = np.linalg.pinv(hessian / np.outer(d, d), rcond=1e-12) / np.outer(d, d)
-    covariance = inverse * np.outer(scale, scale)
     price = joint.price(x)
+    if always:
+        grown = np.sqrt(_together(joint, best[4], r, b, inverse, prior, max(1.0, (value - price) / r.size)))
+        inverse *= np.outer(grown, grown)
+    covariance = inverse * np.outer(scale, scale)
     return Made(
         x,
         value,
@@ -387,6 +390,34 @@ def fit(
         int(r.size),
         converged,
     )
+
+
+GROUPS = 40
+"""Groups of neighbouring lines, all runs and responses together, that are wrong independently of each other."""
+
+
+def _together(
+    joint: Joint, jac: NDArray, r: NDArray, b: NDArray, inverse: NDArray, prior: NDArray, excess: float
+) -> NDArray[np.float64]:  # fmt: skip
+    """By what the variance (n_x,) of each entry grows because neighbouring lines are wrong together; one at least.
+
+    What a model has wrong it has wrong alike at neighbouring lines and at every level, so that many lines tell no more
+    than one. The variance that follows from the sums of the gradient's parts over groups of lines (cluster-robust,
+    Liang and Zeger 1986) is compared with `excess` times the one that takes all lines as independent.
+    """
+    frequency = np.concatenate(
+        [np.tile(a.at * run.rate / run.period, 2) for run, a in zip(joint.runs, joint.lines, strict=True)]
+    )
+    edges = np.quantile(frequency, np.linspace(0, 1, GROUPS + 1)[1:-1])
+    group = np.searchsorted(edges, frequency)
+    gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1])
+    left = r - np.matmul(b.transpose(0, 2, 1), np.linalg.solve(gram, np.matmul(b, r[..., None])))[..., 0]
+    moved = jac - np.matmul(np.linalg.solve(gram, np.matmul(b, jac.transpose(0, 2, 1))).transpose(0, 2, 1), b)
+    each = np.einsum("oxn,on->xn", moved, left)
+    sums = np.array([each[:, group == g].sum(axis=1) for g in range(GROUPS)])
+    sums = sums - sums.mean(axis=0)
+    robust = np.diag(inverse @ (sums.T @ sums + np.diag(prior)) @ inverse)
+    return np.maximum(robust / np.maximum(excess * np.diag(inverse), 1e-300), 1.0)
 
 
 def _reach(joint: Joint) -> NDArray[np.float64]:
