@@ -81,3 +81,29 @@ def test_a_free_body_held_by_its_law_alone_settles():
     other = np.fft.rfft(y, axis=1)[:, : PERIOD // 2 + 1] * 2 / y.shape[1]
     at = np.flatnonzero(spectrum)
     assert np.linalg.norm(own[:, at] - other[:, at]) < 0.02 * np.linalg.norm(other[:, at])
+
+
+def test_friction_that_holds_on_a_flexible_body_settles():
+    """Beyond the modes that are marched the body gives under the friction at once, and with a speed."""
+    links = [Link("ground", "1", 800.0, 4.0), *(Link(str(i), str(i + 1), 1000.0, 4.0) for i in (1, 2))]
+    parameter = Parameter("m", 1.0, 0.5, 2.0, "kg", std=0.1)
+    structure = Chain({"1": "m", "2": 1.0, "3": 1.0, "4": 0.02}, (*links, Link("3", "4", 5e3, 0.5)), (parameter,))
+    engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
+    column = np.array([0.0, 0.0, 0.0, 1.0])
+    base = Base(engine, engine.start(), column[:, None], 2 * np.pi * np.arange(PERIOD // 2 + 1) * RATE / PERIOD)
+    none = np.zeros((3, PERIOD // 2 + 1))
+    limit = 6.0
+    for level in (1.0, 5.0, 20.0):
+        spectrum = multisine(level, 3)
+        run = Run(RATE, PERIOD, spectrum, none.astype(complex), none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
+        solver = Steady(run, np.array([CODES["coulomb"]]), 16)
+        parameters = np.zeros((1, 10))
+        parameters[0, 0] = limit
+        r = base.at(base.start())
+        orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 14, warm=3)
+        assert orbit.closing < 1e-3
+        y = marched(spectrum, [Element("coulomb", column, (limit,))], structure, fine=64, periods=9)
+        own = r.lift * (r.plain * spectrum + (r.h * orbit.force).sum(axis=1))
+        other = np.fft.rfft(y, axis=1)[:, : PERIOD // 2 + 1] * 2 / y.shape[1]
+        at = np.flatnonzero(spectrum)
+        assert np.linalg.norm(own[:, at] - other[:, at]) < 0.05 * np.linalg.norm(other[:, at])

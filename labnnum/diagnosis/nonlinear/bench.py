@@ -114,9 +114,9 @@ class Bench:
         made = [tried_fit(joint, x, [None] * len(self.runs), lead, steps) for x in begin]
         return min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
 
-    def carry_on(self, one: Tried, steps: int, *, always: bool = False) -> Tried:
-        """A simulated fit carried on, on other lines perhaps."""
-        terms = [replace(t, last=True) for t in one.made.terms]
+    def carry_on(self, one: Tried, steps: int, *, always: bool = False, last: bool = True) -> Tried:
+        """A simulated fit carried on, on other lines perhaps; with finer steps where it is the `last`."""
+        terms = [replace(t, last=last) for t in one.made.terms]
         joint = Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines)
         return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always) or one
 

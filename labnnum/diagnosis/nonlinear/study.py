@@ -120,6 +120,8 @@ def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter
     return [t for t in done if t is not None]
 
 
+FINER = 0.1
+"""Part of what the base leaves below which a law is worth finer steps; they move the limit of dry friction."""
 FINE = 350
 """Lines of a run on which the best laws are told apart, and their gain over the base is judged."""
 
@@ -147,11 +149,11 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     limit = shown[0].cost * 3 + 1e3
     kept = [*shown[:most], *[t for t in shown if t.named][:1]]  # the best name too, to be told from what has none
     kept = [t for i, t in enumerate(kept) if t not in kept[:i] and (t is shown[0] or t.cost < limit)]
-    done = [
-        bench.carry_on(t, LONG if t.mechanism == "coulomb-friction" else 4) for t in kept
-    ]  # finer steps move its limit
+    base = study.base.data_part / study.base.count
+    last = shown[0].made.data_part < FINER * base * shown[0].made.count
+    done = [bench.carry_on(t, LONG if last and t.mechanism == "coulomb-friction" else 4, last=last) for t in kept]
     best = min(done, key=lambda t: t.cost)
-    sure = bench.carry_on(best, 2, always=True)
+    sure = bench.carry_on(best, 2, always=True, last=last)
     done = [sure if t is best else t for t in done]
     ratio = sure.made.count / shown[0].made.count
     rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
