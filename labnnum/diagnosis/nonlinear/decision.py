@@ -13,8 +13,8 @@ from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import Prospect
+from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
-from labnnum.diagnosis.nonlinear.problem import Made
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import scale_std
 from labnnum.diagnosis.nonlinear.shown import Curve, curves

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
 from labnnum.diagnosis.nonlinear.explore import LAWS
+from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import general_lead, law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
-from labnnum.diagnosis.nonlinear.problem import Acting, Joint, Made, fit
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.errors import EstimationError
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
+from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.lines import choose_lines
-from labnnum.diagnosis.nonlinear.problem import Joint, fit
+from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.records import stretch_of
 from labnnum.diagnosis.nonlinear.run import Run, resampled
 from labnnum.errors import EstimationError

@@ -11,9 +11,9 @@ from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit, tried_fit
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, NOISY, Prospect, engine_start, nearest
+from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
-from labnnum.diagnosis.nonlinear.problem import Made, fit
 from labnnum.diagnosis.nonlinear.run import Run
 
 ENOUGH = 1.15

@@ -1,0 +1,178 @@
+"""Levenberg-Marquardt on the joint objective, and where it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
+from labnnum.diagnosis.nonlinear.steady import Orbit
+from labnnum.errors import EstimationError
+
+EXACT = 80
+"""Entries of the base model's vector up to which their tangents are marched."""
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """Where a fit ended; `n_base` entries of `x` are the base's, `bare` of them not of the laws' places."""
+
+    x: NDArray[np.float64]
+    objective: float
+    data_part: float
+    prior_part: float
+    covariance: NDArray[np.float64]
+    orbits: tuple[Orbit | None, ...]
+    terms: tuple[Acting, ...]
+    n_base: int
+    bare: int
+    count: int
+    converged: bool
+
+    def law(self, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Parameters of the i-th law and their standard deviations."""
+        first = self.n_base + sum(t.n for t in self.terms[:i])
+        at = slice(first, first + self.terms[i].n)
+        return self.x[at], np.sqrt(np.maximum(np.diag(self.covariance)[at], 0))
+
+
+def fit(
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], *, steps: int = 10, tolerance: float = 1e-3,
+    floor: float = 1.0, exact: bool = True, always: bool = False,
+) -> Made:  # fmt: skip
+    """Levenberg-Marquardt from `x`; ends when a step gains less than `tolerance` of the objective and `floor`.
+
+    `exact` slopes are marched where the base model's vector is short (`EXACT`), or `always`: standard deviations need
+    them.
+    """
+    joint.exact = always or (exact and joint.n_base <= EXACT)
+    scale, low, high = joint.scale, joint.low, joint.high
+    x = np.clip(x, low, high)
+    orbits = joint.settle(x, orbits, 14)
+    damping, converged = 1e-3, False
+    prior = (scale / joint.std) ** 2
+    best: tuple[float, NDArray, Any, NDArray, NDArray] | None = None
+    reach = np.concatenate([_reach(joint), np.full(x.size - joint.n_base, 0.7)])
+    small = 0
+    for _ in range(steps):
+        try:
+            jac, orbits = joint.slopes(x, orbits)
+        except EstimationError:
+            break
+        r, b = joint.parts(x, orbits)
+        part, gram, inner = reduced(r, b)
+        value = part + joint.price(x)
+        bj = np.matmul(b, jac.transpose(0, 2, 1))
+        hessian = np.matmul(jac, jac.transpose(0, 2, 1)).sum(axis=0)
+        hessian -= np.matmul(bj.transpose(0, 2, 1), np.linalg.solve(gram, bj)).sum(axis=0)
+        gradient = np.matmul(jac, r[..., None]).sum(axis=0)[:, 0]
+        gradient -= np.matmul(bj.transpose(0, 2, 1), inner[..., None]).sum(axis=0)[:, 0]
+        gradient -= prior * (x - joint.mean) / scale * np.isfinite(joint.std)
+        hessian += np.diag(prior)
+        if best is None or value < best[0]:
+            best = (value, x, orbits, hessian, jac)
+        moved = False
+        for _ in range(5):
+            trial = _step(joint, x, gradient, hessian, damping, reach)
+            found = joint.settle(trial, orbits, 8)
+            settled = all(o is None or np.isfinite(o.closing) for o in found)
+            after = joint.value(trial, found, b) if settled else np.inf
+            if np.isfinite(after) and after < value:
+                moved = True
+                break
+            damping *= 6.0
+        if not moved:
+            converged = True
+            break
+        gain = value - after
+        x, orbits, damping = trial, found, max(damping / 5.0, 1e-8)
+        small = small + 1 if gain < max(tolerance * value, floor) else 0
+        if small >= 1:
+            converged = True
+            break
+    if best is None:
+        raise EstimationError("the steady response does not settle at the start of the fit")
+    r, b = joint.parts(x, orbits)
+    value = reduced(r, b)[0] + joint.price(x)
+    if best[0] < value:
+        value, x, orbits = best[0], best[1], best[2]
+    hessian = best[3]
+    d = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    inverse = np.linalg.pinv(hessian / np.outer(d, d), rcond=1e-12) / np.outer(d, d)
+    price = joint.price(x)
+    if always:
+        grown = np.sqrt(_together(joint, best[4], r, b, inverse, prior, max(1.0, (value - price) / r.size)))
+        inverse *= np.outer(grown, grown)
+    covariance = inverse * np.outer(scale, scale)
+    return Made(
+        x,
+        value,
+        value - price,
+        price,
+        covariance,
+        tuple(orbits),
+        joint.terms,
+        joint.n_base,
+        joint.n_base - joint.k * joint.engine.band_modes.size,
+        int(r.size),
+        converged,
+    )
+
+
+GROUPS = 40
+"""Groups of neighbouring lines, all runs and responses together, that are wrong independently of each other."""
+
+
+def _together(
+    joint: Joint, jac: NDArray, r: NDArray, b: NDArray, inverse: NDArray, prior: NDArray, excess: float
+) -> NDArray[np.float64]:  # fmt: skip
+    """By what the variance (n_x,) of each entry grows because neighbouring lines are wrong together; one at least.
+
+    What a model has wrong it has wrong alike at neighbouring lines and at every level, so that many lines tell no more
+    than one. The variance that follows from the sums of the gradient's parts over groups of lines (cluster-robust,
+    Liang and Zeger 1986) is compared with `excess` times the one that takes all lines as independent.
+    """
+    frequency = np.concatenate(
+        [np.tile(a.at * run.rate / run.period, 2) for run, a in zip(joint.runs, joint.lines, strict=True)]
+    )
+    edges = np.quantile(frequency, np.linspace(0, 1, GROUPS + 1)[1:-1])
+    group = np.searchsorted(edges, frequency)
+    gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1])
+    left = r - np.matmul(b.transpose(0, 2, 1), np.linalg.solve(gram, np.matmul(b, r[..., None])))[..., 0]
+    moved = jac - np.matmul(np.linalg.solve(gram, np.matmul(b, jac.transpose(0, 2, 1))).transpose(0, 2, 1), b)
+    each = np.einsum("oxn,on->xn", moved, left)
+    sums = np.array([each[:, group == g].sum(axis=1) for g in range(GROUPS)])
+    sums = sums - sums.mean(axis=0)
+    robust = np.diag(inverse @ (sums.T @ sums + np.diag(prior)) @ inverse)
+    return np.maximum(robust / np.maximum(excess * np.diag(inverse), 1e-300), 1.0)
+
+
+def _reach(joint: Joint) -> NDArray[np.float64]:
+    e = joint.engine
+    m = e.band_modes.size
+    first = np.array([p.upper - p.lower for p in e.structure.parameters])
+    return np.concatenate([first, np.full(m, 0.02), np.full(m, 0.7), np.full(m, 0.3), np.full(joint.k * m, 0.3)])
+
+
+def _step(
+    joint: Joint, x: NDArray, gradient: NDArray, hessian: NDArray, damping: float, reach: NDArray
+) -> NDArray[np.float64]:
+    at_low = (x <= joint.low) & (gradient < 0)
+    at_high = (x >= joint.high) & (gradient > 0)
+    free = ~(at_low | at_high)
+    felt = np.diag(hessian) > 1e-200
+    d = np.where(felt, np.sqrt(np.where(felt, np.diag(hessian), 1.0)), np.inf)
+    scaled = hessian / np.outer(d, d) + damping * np.eye(d.size)
+    step = np.zeros_like(x)
+    if not (np.isfinite(scaled).all() and np.isfinite(gradient).all()):
+        return x  # a response beyond all numbers leads nowhere
+    step[free] = np.linalg.lstsq(scaled[np.ix_(free, free)], (gradient / d)[free], rcond=1e-13)[0] / d[free]
+    own = np.maximum(np.abs(x[joint.n_base :] / joint.scale[joint.n_base :]), 0.05)
+    most = reach.copy()
+    most[joint.n_base :] *= own
+    step = step / max(1.0, float(np.max(np.abs(step) / most)))
+    return np.clip(x + step * joint.scale, joint.low, joint.high)
