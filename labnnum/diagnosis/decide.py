@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     pass
 from labnnum.diagnosis.prediction import errors_of, foretold, predicted, relative_error, trimmed
 from labnnum.diagnosis.runs import nonlinear_signs
+from labnnum.diagnosis.scale import with_scale
 from labnnum.diagnosis.worth import alarmed, improves, missing, one_law, spoilt, worthwhile
 
 
@@ -155,7 +156,7 @@ def _verdict(
     named = []
     for i, candidate in enumerate(selection.chain[1:]):
         rivals = selection.stages[i]
-        named.append(_named(final.fit, i + len(base.terms), _confidence(rivals, candidate)))
+        named.append(_named(final.fit, i + len(base.terms), _confidence(rivals, candidate), scatter))
     verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
     return verdict, tuple(named), ""
 
@@ -195,11 +196,12 @@ def _confidence(stage: Sequence[Candidate], best: Candidate) -> float:
     return float(1.0 / weights.sum())
 
 
-def _named(made: Fit, i: int, confidence: float) -> Named:
+def _named(made: Fit, i: int, confidence: float, scatter: Scatter) -> Named:
     first = made.n_theta + sum(t.n for t in made.terms[:i])
     term = made.terms[i]
     at = slice(first, first + term.n)
-    return Named(term, made.point.vector()[at], np.sqrt(np.diag(made.covariance)[at]), confidence)
+    value, std = made.point.vector()[at], np.sqrt(np.diag(made.covariance)[at])
+    return Named(term, value, with_scale(term.parameters, value, std, scatter.residue), confidence)
 
 
 def _best_place(selection: Selection) -> Place | None:

@@ -89,6 +89,16 @@ class Fit:
         return self.point.theta.size
 
 
+def changes_of(made: Fit) -> list[tuple[Change, NDArray[np.float64]]]:
+    """The changes of the whole structure that a fit holds, with their parameters."""
+    out, at = [], 0
+    for t in made.terms:
+        if t.whole is not None:
+            out.append((t.whole, made.point.terms[at : at + t.n]))
+        at += t.n
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class _Normal:
     """Quadratic model of the objective about one point."""

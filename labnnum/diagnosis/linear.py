@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.fit import Data, Fit, Scatter, changes_of, fit
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, subspace_score, thin
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
-from labnnum.mechanisms.base import Place, Term
+from labnnum.mechanisms.base import Freed, Place, Term
 
 LADDER = (0.05, 0.015, 0.005, 0.0015)
 """Relative half-widths to which resonances are broadened on the way from a rough start to the lines themselves."""
@@ -210,10 +210,11 @@ def select(
     law: Candidate | None = None
     gains: dict[Place, float] = {}
     for stage in range(depth):
-        if stage and (_told(law, chain, data, limits) or _finished(task, terms, chain[-1])):
+        left = _still_open(terms, chain[-1].terms)
+        if stage and (_told(law, chain, data, limits) or _finished(task, left, chain[-1])):
             break
         progress(f"searching the catalogue for mechanism {stage + 1}")
-        found = _stage(task, terms, chain[-1], width)
+        found = _stage(task, left, chain[-1], width)
         if not found:
             break
         stages.append(tuple(found))
@@ -221,7 +222,7 @@ def select(
             laws = _unnamed(task, general, chain[0], found[0])
             law = laws[0] if laws else None
             if law is not None and found[0].cost - law.cost > limits.name:
-                found = _among(found, _told_by(task, terms, chain[0], law))
+                found = _among(found, _told_by(task, left, chain[0], law))
                 stages[-1] = tuple(found)
             for c in [*found, *laws]:
                 place = c.last.place
@@ -233,6 +234,12 @@ def select(
             break
         chain.append(best)
     return Selection(tuple(chain), tuple(stages), law, gains)
+
+
+def _still_open(terms: Sequence[Term], held: Sequence[Term]) -> list[Term]:
+    """Terms that may still join: what a support has let go cannot be let go again."""
+    gone = {t.place for t in held if isinstance(t.whole, Freed)}
+    return [t for t in terms if not (isinstance(t.fitted.whole, Freed) and t.place in gone)]
 
 
 def _told_by(task: Task, terms: Sequence[Term], before: Candidate, law: Candidate) -> list[Candidate]:
@@ -356,7 +363,7 @@ class _Race:
     def enter(self, lead: Lead, rung: int | None = None, origin: Candidate | None = None) -> None:
         """Fit of the model before (at `origin`'s point) with the lead's term, down the ladder from `rung`."""
         task, before = self.task, origin or self.before
-        terms = (*before.terms, lead.term)
+        terms = (*before.terms, lead.term.fitted)
         old = _afresh(task.engine, before) if rung == 0 else before.fit.point
         x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
         rung = len(task.ladder) if rung is None else rung
@@ -408,7 +415,7 @@ def _shadows(engine: Engine, c: Candidate) -> bool:
     if not c.last.data.get("extra_mode"):
         return False
     b = engine.band_modes
-    own = engine.state(c.fit.point.theta).omega[b] * (1 + c.fit.point.shift) / 2 / np.pi
+    own = engine.state(c.fit.point.theta, changes_of(c.fit)).omega[b] * (1 + c.fit.point.shift) / 2 / np.pi
     frequency = c.fit.point.terms[c.fit.point.terms.size - c.last.n]
     return bool(np.any(np.abs(own - frequency) < 0.015 * frequency))
 
@@ -428,7 +435,7 @@ def _faint(lead: Lead) -> Lead:
 def _otherwise(race: _Race, terms: Sequence[Term], n: int = 4) -> None:
     """The leader's mechanism in its other variants at the same place, such as both compliances of a clamp at once."""
     task, before, last = race.task, race.before, race.leader.last
-    kin = [t for t in terms if t.mechanism.id == last.mechanism.id and t.place == last.place and t is not last]
+    kin = [t for t in terms if t.mechanism.id == last.mechanism.id and t.place == last.place and t.fitted is not last]
     if not kin:
         return
     nominal = _afresh(task.engine, before).vector()
@@ -444,7 +451,9 @@ def _elsewhere(race: _Race, terms: Sequence[Term], done: set[int], n: int = 4) -
     """The leader's mechanism at the places where it was not tried, from the leader's parameters: its true rivals."""
     task, before, winner = race.task, race.before, race.leader
     kin = [
-        t for t in terms if t.mechanism.id == winner.last.mechanism.id and id(t) not in done and t.n == winner.last.n
+        t
+        for t in terms
+        if t.mechanism.id == winner.last.mechanism.id and id(t.fitted) not in done and t.n == winner.last.n
     ]
     if not kin or not winner.last.n:
         return
@@ -466,11 +475,11 @@ def _again(race: _Race, terms: Sequence[Term], done: set[int], n: int = 5) -> No
     """Every other term scored anew where the leader has put the parameters; at its own place, whatever was tried."""
     task, before, winner = race.task, race.before, race.leader
     origin = winner_base(before, winner)
-    others = [t for t in terms if t is not winner.last]
+    others = [t for t in terms if t.fitted is not winner.last]
     leads = grid_score(task.engine, task.ladder[1], task.scatter, others, origin.fit.point.vector(), before.terms)
     leads = _one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))
     here = [lead for lead in leads if lead.term.place.touches(winner.last.place)][:n]
-    away = [lead for lead in leads if lead not in here and id(lead.term) not in done][: n - 1]
+    away = [lead for lead in leads if lead not in here and id(lead.term.fitted) not in done][: n - 1]
     for lead in (*here, *away):
         race.enter(lead, 2, origin)
     for lead in (x for x in here if x.term.n > 1):

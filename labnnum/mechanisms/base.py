@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.laws import Law
+from labnnum.mechanisms.laws import Law, Release
 from labnnum.parameters import Parameter
 
 PlaceKind = Literal["node", "element", "joint", "ground", "support", "channel", "global", "system"]
@@ -58,6 +58,36 @@ class Change(ABC):
     def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
         """Its derivative to each parameter of the structure; empty where there is none."""
         return []
+
+
+@dataclass(frozen=True, eq=False)
+class Freed(Change):
+    """Motions q that a support holds let go: coordinates appended to the structure's, u = y + `static` q.
+
+    `load`, (n, d), couples q to y through mass; `own_load`, (d,), is what base motion loads q with beyond load' r;
+    `gain`, (n_theta,), the relative change of the stiffness against q with each parameter of the structure.
+    """
+
+    law: Release
+    static: NDArray[np.float64]
+    load: NDArray[np.float64]
+    own_load: NDArray[np.float64]
+    gain: NDArray[np.float64]
+
+    def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
+        """M and K of the appended coordinates, (d, d) each."""
+        factor = 1.0 + self.gain @ change if len(self.gain) else 1.0
+        mass = self.law.mass + 1e-9 * np.diag(np.diag(self.law.mass))  # of a lumped model q may have none of its own
+        return mass, factor * self.law.stiffness + np.diag(self.law.held(p)[0])
+
+    def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """Of those, to each compliance."""
+        zero = np.zeros_like(self.law.mass)
+        return [(zero, np.diag(row)) for row in np.diag(self.law.held(p)[1])]
+
+    def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """Of those, to each parameter of the structure."""
+        return [(np.zeros_like(self.law.mass), g * self.law.stiffness) for g in self.gain]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +138,18 @@ class Term:
     def whole(self) -> Change | None:
         """The change of the whole structure's matrices that the term makes, if it is of that kind."""
         return self.data.get("change")
+
+    @property
+    def fitted(self) -> Term:
+        """The term as a fit takes it: one that changes the structure so far that ordinary errors are those of the
+        changed one, not of the structure without it. Itself where there is no such difference.
+        """
+        return self.data.get("fitted", self)
+
+    @property
+    def sought(self) -> Term:
+        """The term as a search takes it, whose `fitted` this one is: what acts on few motions, by a law."""
+        return self.data.get("sought", self)
 
     @property
     def n(self) -> int:

@@ -34,8 +34,9 @@ class Added:
 class ExtendedStructure(Structure):
     """`inner` with `added` mechanisms; theta is the inner structure's, then each mechanism's.
 
-    Coordinates are the inner ones, then one for each internal motion of a mechanism. `trim` shifts the inner
-    structure's natural frequencies by relative amounts, mode by mode about its nominal modes. `laws` are nonlinear:
+    Coordinates are the inner ones, then one for each internal motion of a mechanism. `trim` shifts the natural
+    frequencies by relative amounts, mode by mode about the nominal modes: those of the inner structure with what the
+    diagnosis takes for a part of it (supports that were let go, what acts everywhere). `laws` are nonlinear:
     they act in time simulation (`law_elements`) and as nothing in anything linear, so their parameters are not updated.
     """
 
@@ -90,19 +91,26 @@ class ExtendedStructure(Structure):
 
     @cached_property
     def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Frequencies, M times shapes, and the coordinates that they are over: of what `trim` shifts."""
         from scipy.linalg import eigh
 
-        m = self.inner.matrices(self.inner.nominal)
+        own = [a for a in self.added if a.term.whole is not None or a.term.fitted is not a.term]
+        core = replace(self, added=tuple(own), trim=(), laws=())
+        m = core.matrices(core.nominal)
         value, shape = eigh(np.real(m.K), np.real(m.M))
-        return np.sqrt(np.maximum(value, 0)), shape, np.real(m.M) @ shape
+        index = list(range(len(self.inner.matrices(self.inner.nominal).M)))
+        at = len(index)
+        for added, n in self._internal():
+            if added in own:
+                index += range(at, at + n)
+            at += n
+        return np.sqrt(np.maximum(value, 0)), np.real(m.M) @ shape, np.array(index)
 
     def matrices(self, theta: NDArray) -> Matrices:
         """The inner matrices with every mechanism's share, internal coordinates appended."""
         own, parts = self._split(np.asarray(theta))
         base = self.inner.matrices(own)
         blocks = [np.array(a, dtype=np.result_type(a, theta)) for a in (base.M, base.C, base.K, base.D)]
-        if any(self.trim):
-            self._trimmed(blocks)
         for added, p in zip(self.added, parts, strict=True):
             if added.term.whole is not None:
                 mass, stiffness = added.term.whole.matrices(p, own - self.inner.nominal)
@@ -114,13 +122,15 @@ class ExtendedStructure(Structure):
                 q = p[group.first : group.first + len(group.law.names)]
                 law = group.law_at(own - self.inner.nominal)
                 blocks = _attach(blocks, law.local(q), group.columns, law.n_internal, joint=group.law.joint)
+        if any(self.trim):
+            self._trimmed(blocks)
         return Matrices(*blocks)
 
     def _trimmed(self, blocks: list[NDArray]) -> None:
-        omega, _, loads = self._nominal_modes
+        omega, loads, index = self._nominal_modes
         n = len(self.trim)
         change = omega[:n] ** 2 * ((1 + np.array(self.trim)) ** 2 - 1)
-        blocks[2] += (loads[:, :n] * change) @ loads[:, :n].T
+        blocks[2][np.ix_(index, index)] += (loads[:, :n] * change) @ loads[:, :n].T
 
     def _extra_mode(self, blocks: list[NDArray], p: NDArray) -> list[NDArray]:
         w = 2 * np.pi * p[0]
