@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 from labnnum.diagnosis.prediction import errors_of, foretold, predicted, relative_error, trimmed
 from labnnum.diagnosis.runs import nonlinear_signs
 from labnnum.diagnosis.scale import with_scale
-from labnnum.diagnosis.worth import alarmed, improves, missing, one_law, spoilt, worthwhile
+from labnnum.diagnosis.worth import Judge, alarmed, improves, missing, one_law, spoilt, worthwhile
 
 
 def same_answer(a: Term, b: Term) -> bool:
@@ -63,7 +63,7 @@ def decide(
         limits,
         scatter,
         (plain_base, base_error),
-        lambda made: errors_of(engine, made, train, test),
+        Judge(lambda made: errors_of(engine, made, train, test), lambda made: foretold(engine, made, test, scatter)),
     )
     final = selection.chain[-1]
     score = (foretold(engine, base.fit, test, scatter), foretold(engine, final.fit, test, scatter))

@@ -233,7 +233,34 @@ def select(
         if gain < (limits.alarm if stage == 0 else limits.further):
             break
         chain.append(best)
+    if len(chain) > 2:
+        progress("looking again at what came first")
+        chain, stages = _revisited(task, terms, chain, stages[: len(chain) - 1], width)
     return Selection(tuple(chain), tuple(stages), law, gains)
+
+
+def _revisited(
+    task: Task, terms: Sequence[Term], chain: list[Candidate], stages: list[tuple[Candidate, ...]], width: int
+) -> tuple[list[Candidate], list[tuple[Candidate, ...]]]:
+    """The chain with each mechanism but the last searched anew beside those that came after it.
+
+    What was named while another was missing may have stood in for both.
+    """
+    held, last = len(chain[0].terms), chain[-1]
+    for _ in range(len(stages) - 1):
+        sizes = np.cumsum([0, *(t.n for t in last.terms)])
+        which = held  # the eldest: one that is found again goes to the end
+        others = (*last.terms[:which], *last.terms[which + 1 :])
+        point = last.fit.point
+        point = replace(point, terms=np.delete(point.terms, np.arange(sizes[which], sizes[which + 1])))
+        made = fit(task.engine, task.data, others, task.scatter, point.vector(), steps=20)
+        found = _stage(task, _still_open(terms, others), task.priced(others, made), width)
+        if not found or found[0].cost > last.cost - task.limits.name:
+            break
+        last = found[0]
+        stages = [*stages[1:], tuple(found)]
+    steps = [replace(last, terms=last.terms[: held + i + 1]) for i in range(len(stages) - 1)]
+    return [chain[0], *steps, last], stages
 
 
 def _still_open(terms: Sequence[Term], held: Sequence[Term]) -> list[Term]:

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.errors import ConfigError, ModelError
-from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Site, Term
+from labnnum.mechanisms.base import ChannelMechanism, Group, Mechanism, Place, Site, Term
 from labnnum.mechanisms.geometry import held_motions, touching
+from labnnum.mechanisms.laws import Release
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
 from labnnum.nonlinear import Element
 from labnnum.parameters import Parameter
@@ -111,6 +112,7 @@ class ExtendedStructure(Structure):
         own, parts = self._split(np.asarray(theta))
         base = self.inner.matrices(own)
         blocks = [np.array(a, dtype=np.result_type(a, theta)) for a in (base.M, base.C, base.K, base.D)]
+        freed: list[tuple[Place, Group, int]] = []
         for added, p in zip(self.added, parts, strict=True):
             if added.term.whole is not None:
                 mass, stiffness = added.term.whole.matrices(p, own - self.inner.nominal)
@@ -121,10 +123,31 @@ class ExtendedStructure(Structure):
             for group in added.term.groups:
                 q = p[group.first : group.first + len(group.law.names)]
                 law = group.law_at(own - self.inner.nominal)
+                if isinstance(group.law, Release):
+                    freed.append((added.term.place, group, len(blocks[0])))
                 blocks = _attach(blocks, law.local(q), group.columns, law.n_internal, joint=group.law.joint)
+        for (one, a, at), (other, b, to) in combinations(freed, 2):
+            if one != other:
+                self._tie(blocks, base, (a, at), (b, to))
         if any(self.trim):
             self._trimmed(blocks)
         return Matrices(*blocks)
+
+    def _tie(self, blocks: list[NDArray], base: Matrices, a: tuple[Group, int], b: tuple[Group, int]) -> None:
+        """What couples the motions of two supports that were let go, each with shapes for which the other holds."""
+        (one, at), (other, to) = a, b
+        assert one.carried is not None and other.carried is not None  # noqa: PT018
+        mass = one.carried.T @ other.columns + one.columns.T @ other.carried
+        mass = mass - one.carried.T @ np.real(self._nominal_mass) @ other.carried
+        stiffness = -one.carried.T @ base.K @ other.carried
+        rows, columns = slice(at, at + len(mass)), slice(to, to + mass.shape[1])
+        for block, tie in ((blocks[0], mass), (blocks[2], stiffness)):
+            block[rows, columns] += tie
+            block[columns, rows] += tie.T
+
+    @cached_property
+    def _nominal_mass(self) -> NDArray:
+        return self.inner.matrices(self.inner.nominal).M
 
     def _trimmed(self, blocks: list[NDArray]) -> None:
         omega, loads, index = self._nominal_modes

@@ -234,3 +234,46 @@ def test_shear_and_rotary_inertia_make_a_timoshenko_beam(tmp_path):
     bare = modes(slender, slender.nominal).frequency[:4]
     assert np.abs(bare / exact - 1).max() > 0.1
     np.testing.assert_allclose(ours, exact, rtol=6e-3)
+
+
+CLAMPED = """
+[structure]
+kind = "beam"
+length = 0.4
+E = "E"
+rho = 2700.0
+width = 0.03
+height = 0.004
+elements = 8
+{ends}
+[damping]
+kind = "modal"
+ratio = 0.008
+[[parameter]]
+name = "E"
+nominal = 70e9
+lower = 60e9
+upper = 80e9
+std = 3e9
+"""
+
+
+def test_two_clamps_that_give_are_the_beam_on_springs(tmp_path):
+    """Both ends let go at once: the beam on springs in place of its clamps, in the engine and in matrices."""
+    clamps = "".join(f'[[structure.support]]\nnode = "{n}"\n' for n in (1, 9))
+    k, turn = 3e5, 400.0
+    free = "".join(f'[[structure.spring]]\nnode = "{n}"\nstiffness = {k}\nrotational = {turn}\n' for n in (1, 9))
+    held, loose = (parse_model(CLAMPED.format(ends=ends), tmp_path / "model.toml").structure for ends in (clamps, free))
+    role = Channel("f", "force", "reference", "4", "z")
+    engine = Engine(held, [Channel("a", "acceleration", "response", "5", "z")], [role], (60.0, 12000.0))
+    _, terms = all_terms(engine, places_of(engine), CATALOGUE)
+    both = [t for t in terms if t.mechanism.id == "support-compliance" and t.variant == "z and ry"]
+    assert [t.place.id for t in both] == ["1", "9"]
+    p = np.array([1 / k, 1 / turn])
+    theta = np.array([73e9])
+    ours = engine.state(theta, [(t.fitted.whole, p) for t in both]).omega / (2 * np.pi)
+    exact = modes(loose, theta).frequency[: ours.size]
+    np.testing.assert_allclose(ours, exact, rtol=2e-5)
+    extended = extend(held, [entry_of(t, p, [], [role]) for t in both])
+    at = np.array([73e9, *p, *p])
+    np.testing.assert_allclose(modes(extended, at).frequency[: ours.size], exact, rtol=2e-5)
