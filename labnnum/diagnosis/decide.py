@@ -134,11 +134,13 @@ def _verdict(
         return "consistent", (), "no term gains more than a sound structure's scatter"
     stage, best = selection.stages[0], selection.chain[1]
     excess = dispersion(best.fit, data)
-    total = (base.fit.objective - min(final.fit.objective, best.fit.objective)) / excess
+    total = (base.fit.objective - min(final.fit.objective, best.fit.objective)) / max(excess, 1.0)
     lead = _lead(engine, data, scatter, stage, best, limits.name * excess) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
-        if (best.cost - law.cost) / max(excess, 1.0) > max(limits.alarm, limits.behind * total):
+        if (best.cost - law.cost) / max(excess, 1.0) > max(
+            limits.alarm, limits.behind * total * excess / max(excess, 1.0)
+        ):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
     elif law is not None and (final.cost - law.cost) / max(excess, 1.0) > limits.name:
         return "unexplained", (), "one law at one place, which has no name, explains it better than several that have"

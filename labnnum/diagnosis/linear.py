@@ -211,7 +211,8 @@ def select(
     gains: dict[Place, float] = {}
     for stage in range(depth):
         left = _still_open(terms, chain[-1].terms)
-        if stage and (_told(law, chain, data, limits) or _finished(task, left, chain[-1])):
+        told = stage > 0 and _told(law, chain, data, limits)
+        if stage and not told and _finished(task, left, chain[-1]):
             break
         progress(f"searching the catalogue for mechanism {stage + 1}")
         found = _stage(task, left, chain[-1], width)
@@ -232,6 +233,8 @@ def select(
         gain = (chain[-1].cost - best.cost) / excess
         if gain < (limits.alarm if stage == 0 else limits.further):
             break
+        if told and law is not None and best.cost > law.cost - limits.name:
+            break  # two names are believed beside one law that explains all where they say it more simply
         chain.append(best)
     if len(chain) > 2:
         progress("looking again at what came first")
@@ -246,21 +249,26 @@ def _revisited(
 
     What was named while another was missing may have stood in for both.
     """
-    held, last = len(chain[0].terms), chain[-1]
+    held, last, found_anew = len(chain[0].terms), chain[-1], False
     for _ in range(len(stages) - 1):
-        sizes = np.cumsum([0, *(t.n for t in last.terms)])
-        which = held  # the eldest: one that is found again goes to the end
-        others = (*last.terms[:which], *last.terms[which + 1 :])
-        point = last.fit.point
-        point = replace(point, terms=np.delete(point.terms, np.arange(sizes[which], sizes[which + 1])))
-        made = fit(task.engine, task.data, others, task.scatter, point.vector(), steps=20)
-        found = _stage(task, _still_open(terms, others), task.priced(others, made), width)
+        before = _with_terms(task, last, (*range(held), *range(held + 1, len(last.terms))))  # the eldest goes
+        found = _stage(task, _still_open(terms, before.terms), before, width)
         if not found or found[0].cost > last.cost - task.limits.name:
             break
-        last = found[0]
-        stages = [*stages[1:], tuple(found)]
-    steps = [replace(last, terms=last.terms[: held + i + 1]) for i in range(len(stages) - 1)]
+        last, stages, found_anew = found[0], [*stages[1:], tuple(found)], True
+    if not found_anew:
+        return chain, stages
+    steps = [_with_terms(task, last, range(held + i + 1)) for i in range(len(stages) - 1)]
     return [chain[0], *steps, last], stages
+
+
+def _with_terms(task: Task, last: Candidate, pick: Sequence[int]) -> Candidate:
+    """The model with some of its terms only, fitted anew."""
+    sizes = np.cumsum([0, *(t.n for t in last.terms)])
+    kept = np.concatenate([np.zeros(0), *(np.arange(sizes[i], sizes[i + 1]) for i in pick)]).astype(int)
+    terms = tuple(last.terms[i] for i in pick)
+    point = replace(last.fit.point, terms=last.fit.point.terms[kept])
+    return task.priced(terms, fit(task.engine, task.data, terms, task.scatter, point.vector(), steps=20))
 
 
 def _still_open(terms: Sequence[Term], held: Sequence[Term]) -> list[Term]:

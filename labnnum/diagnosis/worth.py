@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,7 +51,15 @@ def one_law(
     law = selection.general
     if law is None or not law.last.groups or not settled(law.fit, data, limits):
         return False
+    if selection.chain[-1].cost < law.cost - limits.name and _apart(selection):
+        return False
     return error > limits.improve_further * errors_of(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1]
+
+
+def _apart(selection: Selection) -> bool:
+    """Whether the named mechanisms stand at places of their own: two at one are one law in two parts."""
+    places = [t.place for t in selection.chain[-1].terms[len(selection.chain[0].terms) :]]
+    return not any(a.touches(b) for a, b in combinations(places, 2))
 
 
 def alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
