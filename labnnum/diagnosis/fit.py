@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.point import Point, Response
-from labnnum.errors import LabnnumError
+from labnnum.errors import LabnnumError, ModelError
 from labnnum.mechanisms.base import Change, Term
 
 
@@ -375,7 +375,10 @@ def fit(
         for _ in range(6):
             step = _step(problem, here, x, damping)
             trial = problem.clip(problem.centred(x, x + step))
-            value = problem.value(trial, here)
+            try:
+                value = problem.value(trial, here)
+            except ModelError:  # a mass below nothing: too far
+                value = np.inf
             if np.isfinite(value) and value < here.objective:
                 moved = True
                 break

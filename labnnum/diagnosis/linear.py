@@ -14,6 +14,7 @@ from labnnum.diagnosis.fit import Data, Fit, Scatter, changes_of, fit
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import Lead, broaden, direction_score, grid_score, shortlist, subspace_score, thin
 from labnnum.diagnosis.verdict import Limits
+from labnnum.errors import ModelError
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Freed, Place, Term
 
@@ -402,7 +403,10 @@ class _Race:
         old = _afresh(task.engine, before) if rung == 0 else before.fit.point
         x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
         rung = len(task.ladder) if rung is None else rung
-        self.found.append(task.priced(terms, task.down(terms, x, rung)))
+        try:
+            self.found.append(task.priced(terms, task.down(terms, x, rung)))
+        except ModelError:
+            return  # a start that the model cannot hold, such as a mass below nothing
 
 
 def _afresh(engine: Engine, before: Candidate) -> Point:

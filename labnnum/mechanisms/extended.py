@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.errors import ConfigError, ModelError
-from labnnum.mechanisms.base import ChannelMechanism, Group, Mechanism, Place, Site, Term
+from labnnum.mechanisms.base import ChannelMechanism, Group, Mechanism, Place, Site, Term, in_structure
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.mechanisms.laws import Release
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
@@ -376,7 +376,8 @@ def _find(
         site = site_of(structure, drive=drive)
     except ValueError as error:
         raise ModelError(f"mechanisms cannot be added: {error}") from error
-    terms = [t for t in mechanism.terms(site) if t.place == place]
+    floats = site.omega.size < len(site.mass)
+    terms = [in_structure(t, floats=floats) for t in mechanism.terms(site) if t.place == place]
     for term in terms:
         if term.variant == variant:
             return term
