@@ -277,3 +277,21 @@ def test_two_clamps_that_give_are_the_beam_on_springs(tmp_path):
     extended = extend(held, [entry_of(t, p, [], [role]) for t in both])
     at = np.array([73e9, *p, *p])
     np.testing.assert_allclose(modes(extended, at).frequency[: ours.size], exact, rtol=2e-5)
+
+
+def test_thick_elements_are_those_of_timoshenko(tmp_path):
+    """Elements as long as they are high: Euler's with the mechanism are Timoshenko's, mass and all."""
+    text = CLAMPED.replace("height = 0.004", "height = 0.04").format(ends="").replace("rho", '{theory}rho', 1)
+    thin = parse_model(text.format(theory=""), tmp_path / "model.toml").structure
+    thick = parse_model(text.format(theory='theory = "timoshenko"\nnu = 0.3\n'), tmp_path / "model.toml").structure
+    thick = replace(thick, interior=0)
+    role = Channel("f", "force", "reference", "4", "z")
+    engine = Engine(thin, [Channel("a", "acceleration", "response", "5", "z")], [role], (2000.0, 60000.0))
+    _, terms = all_terms(engine, places_of(engine), CATALOGUE)
+    term = next(t for t in terms if t.mechanism.id == "shear-rotary")
+    theta = np.array([66e9])
+    wave = np.sqrt(70e9 / 2700 * 0.04**2 / 12)  # the mechanism's time is over the nominal wave
+    time = 0.04**2 / 12 * (1 + 2.6 * 6 / 5) / (2 * wave)
+    ours = engine.state(theta, [(term.whole, np.array([time]))]).omega / (2 * np.pi)
+    exact = modes(thick, theta).frequency[: ours.size]
+    np.testing.assert_allclose(ours[2:], exact[2:], rtol=1e-6)
