@@ -33,6 +33,15 @@ class Lead:
     """Further starts worth a try, best first, each far from those before it."""
 
 
+def _inverse_root(gram: NDArray) -> NDArray[np.float64]:
+    """W (rows, n, n) with W W^T the inverse of gram (rows, n, n), whose eigenvalues are one at least.
+
+    Beside entries of 1e8, as on a resonance without damping, rounding leaves some of them below.
+    """
+    size, axes = np.linalg.eigh(gram)
+    return axes / np.sqrt(np.maximum(size, 1.0))[:, None, :]
+
+
 class Profile:
     """The objective about one point with every ordinary error profiled out linearly."""
 
@@ -42,8 +51,7 @@ class Profile:
         r, b, j = self.problem._parts(x, jacobian=True)
         assert j is not None
         gram = np.matmul(b.transpose(0, 2, 1), b) + np.eye(b.shape[2])
-        lower = np.linalg.cholesky(gram)
-        self.u = np.matmul(b, np.linalg.inv(lower).transpose(0, 2, 1))  # rows, 2f, nb
+        self.u = np.matmul(b, _inverse_root(gram))  # rows, 2f, nb
         self.j = j - np.matmul(self.u, np.matmul(self.u.transpose(0, 2, 1), j))
         prior = 1.0 / self.problem.std**2
         a = np.matmul(j.transpose(0, 2, 1), self.j).sum(0) + np.diag(prior)

@@ -9,6 +9,7 @@ from labnnum.diagnosis.affine import affine
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.run import run_of
 from labnnum.diagnosis.prediction import NODAL, relative_error
+from labnnum.diagnosis.search import _inverse_root
 from labnnum.frf import Frf
 from labnnum.mechanisms.local_law import GeneralLaw
 from labnnum.parameters import Parameter
@@ -111,3 +112,16 @@ def test_noise_of_the_input_counts_on_detection_lines():
     at = np.flatnonzero(run.quiet)[10:-10]
     expected = gain**2 * 2e-4 / periods
     assert np.mean(run.noise[0, at]) == pytest.approx(expected, rel=0.1)
+
+
+def test_profile_takes_errors_of_any_size():
+    rng = np.random.default_rng(1)
+    b = rng.standard_normal((2, 40, 5))
+    b[1, :, 3] = b[1, :, 2] + 1e-9 * b[1, :, 3]
+    b[1] *= 1e9
+    gram = np.matmul(b.transpose(0, 2, 1), b) + np.eye(5)
+    root = _inverse_root(gram)
+    assert np.allclose(root[0] @ root[0].T, np.linalg.inv(gram[0]), rtol=1e-9)
+    assert np.isfinite(root[1]).all()
+    left = np.eye(40) - b[1] @ root[1] @ root[1].T @ b[1].T
+    assert np.linalg.norm(left @ b[1, :, 0]) < 1e-6 * np.linalg.norm(b[1, :, 0])

@@ -9,6 +9,7 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
 from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide, unsimulated
 from labnnum.diagnosis.nonlinear.detect import signs
@@ -20,7 +21,7 @@ from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.study import base_again, of_known, refined, search
-from labnnum.diagnosis.nonlinear.suspect import FEW, back, explains, finer, suspect, without
+from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -100,31 +101,44 @@ def answer(
     if seen is not None and doubted is None and seen.nameless:
         return unsimulated(seen, train, test, scatter)
     believed: tuple[Observation, ...] = ()
+
+    def pursued(seen: Prospect) -> tuple[Study, list[Tried]] | None:
+        found = search(seen, progress, unsure=nearly > 0)
+        if found is None:
+            return None
+        progress("comparing places and laws")
+        tried = refined(found, scatter, rivals(found, every, scatter))
+        if not tried:
+            return None
+        found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
+        return found, laws_of(found, every, train, test, scatter, limits, progress, identified)
+
+    done: tuple[Study, list[Tried]] | None = None
+    lying: tuple[int, Prospect] | None = None
     if doubted is not None:
         again = exploring([without(o, doubted) for o in train])
         lying = None if again is None else (doubted, again)
     else:
-        lying = suspect(train, seen, exploring) if not (whole or nearly or (seen and explains(seen))) else None
-    if lying is None and seen is not None and seen.hopeless and not identified:
-        return unsimulated(seen, train, test, scatter)
-    if lying is not None and seen is not None and doubted is None:
-        whole_again = back(seen, lying[1])
-        if whole_again is not None:  # it was the way to the law that was hard to find, not the channel that lied
-            seen, lying = whole_again, None
+        far = seen is not None and seen.hopeless and not identified
+        if seen is not None and not far:
+            done = pursued(seen)
+        last = None if done is None else done[1][-1].made
+        if not (whole or nearly) and (last is None or last.data_part > POOR * last.count):
+            lying = suspect(train, seen, exploring)
+        if lying is None and seen is not None and far:
+            return unsimulated(seen, train, test, scatter)
+        if lying is not None and seen is not None:
+            whole_again = back(seen, lying[1])
+            if whole_again is not None:  # it was the way to the law that was hard to find, not the channel that lied
+                done, lying = pursued(whole_again) or done, None
     if lying is not None:
         progress(f"without channel {runs[0].outputs[lying[0]].name}")
         believed = (*train, *test)
         train, test = ([without(o, lying[0]) for o in part] for part in (train, test))
-        seen = finer(lying[1])
-    found = None if seen is None else search(seen, progress, unsure=nearly > 0)
-    if found is None:
+        done = pursued(finer(lying[1]))
+    if done is None:
         return None
-    progress("comparing places and laws")
-    tried = refined(found, scatter, rivals(found, every, scatter))
-    if not tried:
-        return None
-    found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
-    laws = laws_of(found, every, train, test, scatter, limits, progress, identified)
+    found, laws = done
     more = records(others, span, runs[0].miss) if nearly and not whole else []
     if more:
         progress("fitting records that are not periodic")

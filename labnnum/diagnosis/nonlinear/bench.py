@@ -116,7 +116,8 @@ class Bench:
 
     def carry_on(self, one: Tried, steps: int, *, always: bool = False) -> Tried:
         """A simulated fit carried on, on other lines perhaps."""
-        joint = Joint(self.engine, self.point, self.runs, one.made.terms, self.scatter, self.lines)
+        terms = [replace(t, last=True) for t in one.made.terms]
+        joint = Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines)
         return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always) or one
 
 

@@ -92,21 +92,61 @@ def explore(
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
     progress("locating")
     nominal = engine_start(plain)
-    found, leads = looked(plain, calm.x, spots, unnamed)
-    near: list[Tried] = []
-    if leads:
-        progress("following nonlinear laws along the motion")
-        near = followed(bench, (calm.x, nominal), leads, carry_on)
-    if calm.data_part > MISLED * calm.count and not (near and near[0].made.data_part < MISLED * near[0].made.count):
-        other, leads = looked(plain, nominal, spots, unnamed)
-        again = followed(bench, (nominal,), leads, carry_on) if leads else []
-        if again and (not near or again[0].cost < near[0].cost):
-            near, found = sorted([*again, *near], key=lambda t: t.cost), other
-    return Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads)) if near else None
+    misled = calm.data_part > MISLED * calm.count
+    strained = not misled and calm.prior_part > STRAINED * plain.n_base
+    rounds = [nominal, calm.x][: 2 if carry_on else 1] if misled else [calm.x]
+    best: Prospect | None = None
+    for x in rounds:
+        found, leads = looked(plain, x, spots, unnamed)
+        near: list[Tried] = []
+        if misled and carry_on and x is nominal:
+            near = held(bench, nominal, found, leads, base.data_part * LEAVES)
+        if not near and leads:
+            progress("following nonlinear laws along the motion")
+            near = followed(bench, [x, nominal] if strained else [x], leads, carry_on)
+        if near and (best is None or near[0].cost < best.near[0].cost):
+            best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads))
+        if near and (near[0].simulated or near[0].made.data_part < MISLED * near[0].made.count):
+            break
+    return best
 
 
+STRAINED = 4.0
+"""Price of the base at the quietest level, of its entries, above which its parameters stand in for a law."""
 MISLED = 5.0
 """Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
+
+
+HELD, SATURATED, LEAVES = 2, 0.5, 0.1
+"""Places at which dry friction is simulated at once, because it may hold there most of the time; the growth of the
+force with level, of the level's own, below which it may be such a force; and the part of what the base leaves that such
+friction may leave for nothing else to be looked for elsewhere."""
+
+
+def held(
+    bench: Bench, nominal: NDArray, found: Sequence[Recovered], leads: Sequence[Lead], enough: float
+) -> list[Tried]:  # fmt: skip
+    """Dry friction, simulated from the nominal model, where a force explains most of the distortion; its rivals there.
+
+    What sticks at all levels but the highest shows no motion to follow a law along, and a base that was fitted there is
+    that of another structure. The force there shows its limit: it hardly grows with level. Empty where what is left
+    exceeds `enough`.
+    """
+    low, high = (f([r.level for r in bench.runs]) for f in (np.argmin, np.argmax))
+    grown = bench.runs[high].level / bench.runs[low].level
+    made = []
+    for q in sorted(found, key=lambda q: -q.share):
+        size = [float(np.sqrt(np.mean(f**2))) for f in q.f]
+        if len(made) < HELD and size[high] < SATURATED * grown * size[low]:
+            p = np.zeros(N_P)
+            p[0] = max(size)
+            made.append(bench.direct((nominal,), Lead(q.spot, "coulomb-friction", p, q.gain), LONG))
+    best = min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
+    if best is None or best.made.data_part > enough:
+        return []
+    here = [lead for lead in leads if lead.spot.place == best.spot.place]
+    beside = followed(bench, (best.made.x[: best.made.n_base],), here) if here else []
+    return sorted([*(t for t in made if t is not None), *beside], key=lambda t: t.cost)
 
 
 def looked(
@@ -150,6 +190,8 @@ SLOW = ("stick-slip", "coulomb-friction")
 """Laws that come near late."""
 BEATEN = 10.0
 """Cost, of the least so far, above which a follow is not carried on."""
+EQUAL = 0.9
+"""Part of the gain that the best follow promised from which on another is carried on all the same: it may be slower."""
 PRIME = 2
 """Places, by the best lead and by the best follow after one step, at which every law is carried on: a law with memory
 begins badly where a smooth one does well."""
@@ -190,11 +232,14 @@ def followed(
     limit = NEAR * first[0].cost
     done: list[Tried] = []
     best = np.inf
+    ahead = -np.inf
     for i, t in enumerate(first):
         slow = t.spot.place in prime and t.mechanism in SLOW
-        if t.cost < min(limit, BEATEN * best) and (i < BRIEF or slow):
+        equal = t.lead.gain > EQUAL * ahead
+        if t.cost < (limit if equal else min(limit, BEATEN * best)) and (i < BRIEF or slow):
             t = bench.follow_on(t, LONG)
-        best = min(best, t.cost)
+        if t.cost < best:
+            best, ahead = t.cost, t.lead.gain
         done.append(t)
     done.sort(key=lambda t: t.cost)
     for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:

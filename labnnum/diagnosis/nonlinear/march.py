@@ -175,12 +175,13 @@ def _advance(X0, X1, push, z, v, t0, t1, t2, t3, c0, c1, w):  # pragma: no cover
 
 @njit(cache=True, error_model="numpy")
 def march(
-    T, W0, W1, w, gz, gv, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds, dforces
+    T, W0, W1, w, gz, gv, before, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds, dforces
 ):  # pragma: no cover - compiled
     """Advance over all steps of `source` (n, k, 2); forces (n, k) and motion (n, k, 2) at the ends of the steps.
 
     T (4, m), W0 and W1 (2, m) transition and weights of each mode; w (k, m) motions; gz, gv (k, k) what a force
-    does within its own step; x (2, m), f (k,), memory (k, 2) state, changed in place. Tangents: X (2, m, t), df
+    does within its own step, `before` (k, k) what of the speed the force of the step before takes away; x (2, m),
+    f (k,), memory (k, 2) state, changed in place. Tangents: X (2, m, t), df
     (k, t), dmem (k, 2, t) their states; dp (k, P, t) which parameter each varies; ds (n, k, 2, s) their sources, those
     of the first s tangents; dforces (n, k, t). Returns the number of steps whose forces did not settle.
     """
@@ -212,6 +213,8 @@ def march(
         for e in range(k):
             see[e, 0] = source[step, e, 0]
             see[e, 1] = source[step, e, 1]
+            for o in range(k):
+                see[e, 1] -= before[e, o] * f[o]
         for r in range(m):
             push = 0.0
             for e in range(k):
@@ -258,6 +261,9 @@ def march(
                         dsee[e, c, t] = ds[step, e, c, t]
                     for t in range(ns, nt):
                         dsee[e, c, t] = 0.0
+                for o in range(k):
+                    for t in range(nt):
+                        dsee[e, 1, t] -= before[e, o] * df[o, t]
             for r in range(m):
                 t0, t1, t2, t3 = T[0, r], T[1, r], T[2, r], T[3, r]
                 X0, X1 = X[0, r], X[1, r]

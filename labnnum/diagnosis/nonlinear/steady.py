@@ -27,6 +27,11 @@ PASSES = (4, 2)
 """Marches over a run that does not close, at most, from nothing and from a neighbour: each corrects the one before."""
 
 
+MARCHED = 2.8
+"""Modes up to this many times the highest excited line are marched: twice the highest line that is kept, so that what
+the others do beyond their flexibility stays a small correction there."""
+
+
 SINGULAR = 1e-9
 """Singular value of the closing gap, of the largest, below which a motion is one that no force brings back."""
 
@@ -94,7 +99,7 @@ class Steady:
         return r.marches[self.step]
 
     def _prepare(self, r: Receptance) -> _Prepared:
-        slow = np.flatnonzero(r.omega < 1.4 * np.abs(r.s[self.top]))  # faster ones follow at once, and exactly by lines
+        slow = np.flatnonzero(r.omega < MARCHED * np.abs(r.s[self.top]))  # faster ones follow at once, exactly by lines
         fast = np.setdiff1d(np.arange(r.omega.size), slow)
         omega, zeta, w = r.omega[slow], r.zeta[slow], np.ascontiguousarray(r.w[:, slow])
         rest = r.rest + (r.w[:, fast] / r.omega[fast] ** 2) @ r.w[:, fast].T
@@ -116,10 +121,12 @@ class Steady:
         gz = (pairs @ xq).reshape(k, k, r.s.size) + rest[:, :, None]
         gv = (pairs @ xv).reshape(k, k, r.s.size)
         inner = (w * W1[0]) @ w.T + rest
-        rate = (w * W1[1]) @ w.T
+        back = rest / self.step  # what follows at once has a speed as well
+        gv += back[:, :, None] * (1 - 1 / turn)
+        rate = (w * W1[1]) @ w.T + back
         return _Prepared(
             T, W0, W1,
-            w, inner, rate, r.g - gz, r.s * r.g - gv, xq, xv,
+            w, inner, rate, back, r.g - gz, r.s * r.g - gv, xq, xv,
         )  # fmt: skip
 
     def to_time(self, spectrum: NDArray) -> NDArray[np.float64]:
@@ -364,8 +371,8 @@ class Steady:
         slopes = np.empty((self.n, k, nt))
         x, f, memory = orbit.x.copy(), orbit.f.copy(), orbit.memory.copy()
         bad = march(
-            made.T, made.W0, made.W1, made.w, made.inner, made.rate, source, self.codes, np.ascontiguousarray(p), x, f,
-            memory, forces, motion, X, df, dmem, dp, ds, slopes,
+            made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, source, self.codes,
+            np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes,
         )  # fmt: skip
         end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(2 * k, nt)])
         return _Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)
@@ -419,6 +426,7 @@ class _Prepared:
     w: NDArray
     inner: NDArray
     rate: NDArray
+    back: NDArray
     miss_z: NDArray
     miss_v: NDArray
     xq: NDArray

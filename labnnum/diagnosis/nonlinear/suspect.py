@@ -18,7 +18,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.observe import Observation
 
 POOR = 3.0
-"""Chi-square per value that the best law leaves along the recovered motion above which a channel is suspected."""
+"""Chi-square per value that the best laws leave, simulated, above which a channel is suspected."""
 TELLING = 0.5
 """Part of that to which the others must bring it down without the channel, counted on the others alone."""
 AS_WELL = 1.5
@@ -80,17 +80,6 @@ def suspect(
         if best is None or left < best[0]:
             best = left, i, made
     return None if best is None or best[0] > TELLING * level else best[1:]
-
-
-def explains(seen: Prospect, most: int = 2) -> bool:
-    """Whether one of the `most` best laws explains all channels once it is simulated: there is no channel to suspect.
-
-    Along the recovered motion contacts and friction leave more than they do in a simulation.
-    """
-    if seen.level < POOR:
-        return True
-    made = [seen.bench.simulate(t, LONG) for t in seen.near[:most]]
-    return any(t is not None and t.made.data_part < POOR * t.made.count for t in made)
 
 
 def back(whole: Prospect, found: Prospect, most: int = 3) -> Prospect | None:
