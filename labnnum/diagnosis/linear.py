@@ -219,6 +219,15 @@ def select(
         found = _stage(task, left, chain[-1], width)
         if not found:
             break
+        if stage == 1:
+            alone = _in_its_place(task, found, chain[-1])
+            if alone is not None:
+                chain[-1], stages = alone, [_order(alone, stages[0])]
+                left = _still_open(terms, alone.terms)
+                told = _told(law, chain, data, limits)
+                if not told and _finished(task, left, alone):
+                    break
+                found = _stage(task, left, alone, width)
         stages.append(tuple(found))
         if stage == 0:
             laws = _unnamed(task, general, chain[0], found[0])
@@ -229,10 +238,10 @@ def select(
             for c in [*found, *laws]:
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)
-        best = _simplest(found, limits)
+        best = _simplest(found, limits) if found else chain[-1]
         excess = max(dispersion(best.fit, data), 1.0)
         gain = (chain[-1].cost - best.cost) / excess
-        if gain < (limits.alarm if stage == 0 else limits.further):
+        if not found or gain < (limits.alarm if stage == 0 else limits.further):
             break
         if told and law is not None and best.cost > law.cost - limits.name:
             break  # two names are believed beside one law that explains all where they say it more simply
@@ -241,6 +250,23 @@ def select(
         progress("looking again at what came first")
         chain, stages = _revisited(task, terms, chain, stages[: len(chain) - 1], width)
     return Selection(tuple(chain), tuple(stages), law, gains)
+
+
+def _in_its_place(task: Task, found: Sequence[Candidate], first: Candidate) -> Candidate | None:
+    """The best second mechanism without the first, where it does better alone than the first did: that had only been
+    found because the second was out of reach from where the base stood.
+    """
+    alone = []
+    for c in found[:2]:
+        n = len(c.terms)
+        alone.append(_with_terms(task, c, (*range(n - 2), n - 1)))
+    best = min(alone, key=lambda c: c.cost)
+    return best if best.cost < first.cost - task.limits.name else None
+
+
+def _order(first: Candidate, others: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """The first, then the others, each term once."""
+    return (first, *(c for c in others if c.last is not first.last))
 
 
 def _revisited(

@@ -281,7 +281,7 @@ def test_two_clamps_that_give_are_the_beam_on_springs(tmp_path):
 
 def test_thick_elements_are_those_of_timoshenko(tmp_path):
     """Elements as long as they are high: Euler's with the mechanism are Timoshenko's, mass and all."""
-    text = CLAMPED.replace("height = 0.004", "height = 0.04").format(ends="").replace("rho", '{theory}rho', 1)
+    text = CLAMPED.replace("height = 0.004", "height = 0.04").format(ends="").replace("rho", "{theory}rho", 1)
     thin = parse_model(text.format(theory=""), tmp_path / "model.toml").structure
     thick = parse_model(text.format(theory='theory = "timoshenko"\nnu = 0.3\n'), tmp_path / "model.toml").structure
     thick = replace(thick, interior=0)
