@@ -10,7 +10,7 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
-from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion
+from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion, settled
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
@@ -142,8 +142,15 @@ def _verdict(
             limits.alarm, limits.behind * total * excess / max(excess, 1.0)
         ):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
-    elif law is not None and (final.cost - law.cost) / max(excess, 1.0) > limits.name:
-        return "unexplained", (), "one law at one place, which has no name, explains it better than several that have"
+    elif law is not None:
+        # beside one law that explains all several names must be clearly the simpler, beside another not clearly worse
+        lead_over = limits.name if law.last.groups and settled(law.fit, data, limits) else -limits.name
+        if (law.cost - final.cost) / max(excess, 1.0) < lead_over:
+            return (
+                "unexplained",
+                (),
+                "one law at one place, which has no name, explains it as well as several",
+            )
     left = final.fit.objective / (2 * data.value.size)
     if measured_noise and left > limits.misfit and final.fit.objective > limits.remains * base.fit.objective:
         return "unexplained", (), "what the best mechanism leaves is far more than noise"
