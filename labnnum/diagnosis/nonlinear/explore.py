@@ -98,15 +98,19 @@ def explore(
     best: Prospect | None = None
     for x in rounds:
         found, leads = looked(plain, x, spots, unnamed)
-        near: list[Tried] = []
-        if misled and carry_on and x is nominal:
-            near = held(bench, nominal, found, leads, base.data_part * LEAVES)
-        if not near and leads:
+        near = held(bench, nominal, found) if misled and carry_on and x is nominal else []
+        dry = bool(near) and near[0].made.data_part < LEAVES * base.data_part
+        if dry:
+            leads = [lead for lead in leads if lead.spot.place == near[0].spot.place]
+            begin = [near[0].made.x[: near[0].made.n_base]]
+        else:
+            begin = [x, nominal] if strained else [x]
+        if leads:
             progress("following nonlinear laws along the motion")
-            near = followed(bench, [x, nominal] if strained else [x], leads, carry_on)
+            near = sorted([*near, *followed(bench, begin, leads, carry_on)], key=lambda t: t.cost)
         if near and (best is None or near[0].cost < best.near[0].cost):
             best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads))
-        if near and (near[0].simulated or near[0].made.data_part < MISLED * near[0].made.count):
+        if dry or (near and near[0].made.data_part < MISLED * near[0].made.count):
             break
     return best
 
@@ -123,14 +127,11 @@ force with level, of the level's own, below which it may be such a force; and th
 friction may leave for nothing else to be looked for elsewhere."""
 
 
-def held(
-    bench: Bench, nominal: NDArray, found: Sequence[Recovered], leads: Sequence[Lead], enough: float
-) -> list[Tried]:  # fmt: skip
-    """Dry friction, simulated from the nominal model, where a force explains most of the distortion; its rivals there.
+def held(bench: Bench, nominal: NDArray, found: Sequence[Recovered]) -> list[Tried]:
+    """Dry friction, simulated from the nominal model, where a force explains most of the distortion; best first.
 
     What sticks at all levels but the highest shows no motion to follow a law along, and a base that was fitted there is
-    that of another structure. The force there shows its limit: it hardly grows with level. Empty where what is left
-    exceeds `enough`.
+    that of another structure. The force there shows its limit: it hardly grows with level.
     """
     low, high = (f([r.level for r in bench.runs]) for f in (np.argmin, np.argmax))
     grown = bench.runs[high].level / bench.runs[low].level
@@ -141,12 +142,7 @@ def held(
             p = np.zeros(N_P)
             p[0] = max(size)
             made.append(bench.direct((nominal,), Lead(q.spot, "coulomb-friction", p, q.gain), LONG))
-    best = min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
-    if best is None or best.made.data_part > enough:
-        return []
-    here = [lead for lead in leads if lead.spot.place == best.spot.place]
-    beside = followed(bench, (best.made.x[: best.made.n_base],), here) if here else []
-    return sorted([*(t for t in made if t is not None), *beside], key=lambda t: t.cost)
+    return sorted((t for t in made if t is not None), key=lambda t: t.cost)
 
 
 def looked(

@@ -147,7 +147,9 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     limit = shown[0].cost * 3 + 1e3
     kept = [*shown[:most], *[t for t in shown if t.named][:1]]  # the best name too, to be told from what has none
     kept = [t for i, t in enumerate(kept) if t not in kept[:i] and (t is shown[0] or t.cost < limit)]
-    done = [bench.carry_on(t, LONG) for t in kept]
+    done = [
+        bench.carry_on(t, LONG if t.mechanism == "coulomb-friction" else 4) for t in kept
+    ]  # finer steps move its limit
     best = min(done, key=lambda t: t.cost)
     sure = bench.carry_on(best, 2, always=True)
     done = [sure if t is best else t for t in done]
