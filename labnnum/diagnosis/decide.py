@@ -10,8 +10,8 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
-from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion, settled
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.task import Candidate, Selection, choose_lines, data_of, dispersion, settled
 from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.frf import Frf

@@ -20,7 +20,8 @@ from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.point import Point, Response, State
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
-from labnnum.mechanisms.base import Change, Freed, Site, Term
+from labnnum.mechanisms.base import Site, Term
+from labnnum.mechanisms.changes import Change, Freed
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.point import Point, Response
 from labnnum.errors import LabnnumError, ModelError
-from labnnum.mechanisms.base import Change, Term
+from labnnum.mechanisms.base import Term
+from labnnum.mechanisms.changes import Change
 
 
 @dataclass(frozen=True, slots=True)

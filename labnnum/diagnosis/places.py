@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.errors import ModelError
-from labnnum.mechanisms.base import Mechanism, Site, Term, in_structure
+from labnnum.mechanisms.attached import in_structure
+from labnnum.mechanisms.base import Mechanism, Site, Term
 from labnnum.mechanisms.geometry import touching
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
-from labnnum.diagnosis.linear import Candidate, Selection, dispersion, settled
+from labnnum.diagnosis.task import Candidate, Selection, dispersion, settled
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
 

@@ -9,7 +9,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.base import SIZES, TRANSLATIONS, Change, Mechanism, Place, Site, Term, amount
+from labnnum.mechanisms.base import SIZES, TRANSLATIONS, Mechanism, Place, Site, Term, amount
+from labnnum.mechanisms.changes import Change
 from labnnum.mechanisms.geometry import AXES, dof_rows
 from labnnum.mechanisms.laws import Spring
 

@@ -15,7 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.laws import Compliance, Inertia, Law, Mass, Release, Spring
+from labnnum.mechanisms.changes import Change
+from labnnum.mechanisms.laws import Law
 from labnnum.parameters import Parameter
 
 PlaceKind = Literal["node", "element", "joint", "ground", "support", "channel", "global", "system"]
@@ -44,52 +45,6 @@ class Place:
         return f"{self.kind} {self.id}" + (f"-{self.to}" if self.to is not None else "")
 
 
-class Change(ABC):
-    """A change of the whole structure's matrices: what acts everywhere is taken to the modes, not to attachments."""
-
-    @abstractmethod
-    def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
-        """Change of M and K, each (n, n), at the term's parameters p, the structure's off nominal by `change`."""
-
-    @abstractmethod
-    def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
-        """Its derivative to each parameter of the term."""
-
-    def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
-        """Its derivative to each parameter of the structure; empty where there is none."""
-        return []
-
-
-@dataclass(frozen=True, eq=False)
-class Freed(Change):
-    """Motions q that a support holds let go: coordinates appended to the structure's, u = y + `static` q.
-
-    `load`, (n, d), couples q to y through mass; `own_load`, (d,), is what base motion loads q with beyond load' r;
-    `gain`, (n_theta,), the relative change of the stiffness against q with each parameter of the structure.
-    """
-
-    law: Release
-    static: NDArray[np.float64]
-    load: NDArray[np.float64]
-    own_load: NDArray[np.float64]
-    gain: NDArray[np.float64]
-
-    def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
-        """M and K of the appended coordinates, (d, d) each."""
-        factor = 1.0 + self.gain @ change if len(self.gain) else 1.0
-        mass = self.law.mass + 1e-9 * np.diag(np.diag(self.law.mass))  # of a lumped model q may have none of its own
-        return mass, factor * self.law.stiffness + np.diag(self.law.held(p)[0])
-
-    def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
-        """Of those, to each compliance."""
-        zero = np.zeros_like(self.law.mass)
-        return [(zero, np.diag(row)) for row in np.diag(self.law.held(p)[1])]
-
-    def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
-        """Of those, to each parameter of the structure."""
-        return [(np.zeros_like(self.law.mass), g * self.law.stiffness) for g in self.gain]
-
-
 @dataclass(frozen=True, eq=False)
 class Group:
     """Columns of motion that share one law and its parameters."""
@@ -116,42 +71,6 @@ class Group:
         if self.gain is None or change is None or not len(self.gain):
             return self.law
         return self.law.at(1.0 + self.gain @ change)
-
-
-STEP = 1e-20
-"""Imaginary part of the steps that give exact derivatives (Squire and Trapp, 1998)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Attached(Change):
-    """Springs and masses on a few motions as a change of the structure's own matrices."""
-
-    groups: tuple[Group, ...]
-
-    def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
-        """Share of M and K."""
-        n = len(self.groups[0].columns)
-        mass, stiffness = np.zeros((2, n, n), np.result_type(p, change, float))
-        for g in self.groups:
-            m, _, k, _ = g.law_at(change).local(p[g.first : g.first + len(g.law.names)])
-            square = g.columns @ g.columns.T
-            mass += m[0, 0] * square
-            stiffness += k[0, 0] * square
-        return mass, stiffness
-
-    def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
-        """To each parameter."""
-        return [self._slope(p + 1j * row, change) for row in STEP * np.eye(len(p))]
-
-    def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
-        """To each parameter of the structure, where the stiffness grows with what it acts on."""
-        if all(g.gain is None or not len(g.gain) for g in self.groups):
-            return []
-        return [self._slope(p, change + 1j * row) for row in STEP * np.eye(len(change))]
-
-    def _slope(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
-        mass, stiffness = self.matrices(p, change)
-        return np.imag(mass) / STEP, np.imag(stiffness) / STEP
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,19 +341,3 @@ def scalar_term(
     starts = scale * signed(SIZES, positive=positive)[:, None]
     starts = starts[(starts[:, 0] > parameter.lower) | (parameter.lower == 0)]
     return Term(mechanism, place, (parameter,), starts, (Group(law, columns, 0, gain),), variant)
-
-
-def in_structure(term: Term, *, floats: bool) -> Term:
-    """The term with its `fitted` form where it is of springs and masses alone.
-
-    Not of springs that hold a structure which `floats`: what were rigid-body motions would be modes of another kind.
-    """
-    if term.fitted is not term or not term.groups:
-        return term
-    elastic = all(isinstance(g.law, Mass | Inertia | Spring | Compliance) for g in term.groups)
-    held = floats and term.place.kind in ("ground", "support") and not term.inertial.all()
-    if elastic and not held and all(g.carried is None for g in term.groups):
-        plain = Term(term.mechanism, term.place, term.parameters, term.starts, (), term.variant)
-        plain.data.update(change=Attached(term.groups), sought=term)
-        term.data["fitted"] = plain
-    return term

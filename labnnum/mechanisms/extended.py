@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.errors import ConfigError, ModelError
-from labnnum.mechanisms.base import ChannelMechanism, Group, Mechanism, Place, Site, Term, in_structure
+from labnnum.mechanisms.attached import in_structure
+from labnnum.mechanisms.base import ChannelMechanism, Group, Mechanism, Place, Site, Term
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.mechanisms.laws import Release
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.mechanisms.axial_preload import bent
-from labnnum.mechanisms.base import TRANSLATIONS, Change, Mechanism, Place, Site, Term
+from labnnum.mechanisms.base import TRANSLATIONS, Mechanism, Place, Site, Term
+from labnnum.mechanisms.changes import Change
 from labnnum.mechanisms.geometry import element_gain, element_stiffness
 from labnnum.parameters import Parameter
 

@@ -12,7 +12,6 @@ from labnnum.mechanisms.base import (
     ROTATIONS,
     SIZES,
     TRANSLATIONS,
-    Freed,
     Group,
     Held,
     Mechanism,
@@ -21,6 +20,7 @@ from labnnum.mechanisms.base import (
     Term,
     scalar_term,
 )
+from labnnum.mechanisms.changes import Freed
 from labnnum.mechanisms.geometry import dof_rows
 from labnnum.mechanisms.laws import Release, Spring
 from labnnum.parameters import Parameter
