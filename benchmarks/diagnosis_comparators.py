@@ -28,9 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.fit import Data, Scatter, fit
-from labnnum.diagnosis.linear import choose_lines, data_of
 from labnnum.diagnosis.places import all_terms, places_of
 from labnnum.diagnosis.prediction import predicted, relative_error, trimmed
+from labnnum.diagnosis.task import choose_lines, data_of
 from labnnum.mechanisms import CATALOGUE, Term
 from sessions.diagnose import run
 from sessions.model import read_model

@@ -197,7 +197,8 @@ def _entries(d: Diagnosis, folder: Path) -> list[dict[str, Any]]:
     at = 0
     for term in fitted.terms:
         place = {k: v for k, v in term.place.as_dict().items() if v is not None}
-        values = zip(term.parameters, fitted.point.terms[at:], std[at:], strict=False)
+        told = next((n.std for n in d.named if n.term is term), std[at : at + term.n])
+        values = zip(term.parameters, fitted.point.terms[at:], told, strict=False)
         entry: dict[str, Any] = {
             "id": term.mechanism.id,
             "place": place,

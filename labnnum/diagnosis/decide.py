@@ -10,8 +10,8 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
-from labnnum.diagnosis.linear import Candidate, Selection, choose_lines, data_of, dispersion
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.task import Candidate, Selection, choose_lines, data_of, dispersion, settled
 from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.frf import Frf
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     pass
 from labnnum.diagnosis.prediction import errors_of, foretold, predicted, relative_error, trimmed
 from labnnum.diagnosis.runs import nonlinear_signs
-from labnnum.diagnosis.worth import alarmed, improves, missing, one_law, spoilt, worthwhile
+from labnnum.diagnosis.scale import with_scale
+from labnnum.diagnosis.worth import Judge, alarmed, improves, missing, one_law, spoilt, worthwhile
 
 
 def same_answer(a: Term, b: Term) -> bool:
@@ -62,7 +63,7 @@ def decide(
         limits,
         scatter,
         (plain_base, base_error),
-        lambda made: errors_of(engine, made, train, test),
+        Judge(lambda made: errors_of(engine, made, train, test), lambda made: foretold(engine, made, test, scatter)),
     )
     final = selection.chain[-1]
     score = (foretold(engine, base.fit, test, scatter), foretold(engine, final.fit, test, scatter))
@@ -133,14 +134,23 @@ def _verdict(
         return "consistent", (), "no term gains more than a sound structure's scatter"
     stage, best = selection.stages[0], selection.chain[1]
     excess = dispersion(best.fit, data)
-    total = (base.fit.objective - min(final.fit.objective, best.fit.objective)) / excess
+    total = (base.fit.objective - min(final.fit.objective, best.fit.objective)) / max(excess, 1.0)
     lead = _lead(engine, data, scatter, stage, best, limits.name * excess) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
-        if (best.cost - law.cost) / max(excess, 1.0) > max(limits.alarm, limits.behind * total):
+        if (best.cost - law.cost) / max(excess, 1.0) > max(
+            limits.alarm, limits.behind * total * excess / max(excess, 1.0)
+        ):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
-    elif law is not None and (final.cost - law.cost) / max(excess, 1.0) > limits.name:
-        return "unexplained", (), "one law at one place, which has no name, explains it better than several that have"
+    elif law is not None:
+        # beside one law that explains all several names must be clearly the simpler, beside another not clearly worse
+        lead_over = limits.name if law.last.groups and settled(law.fit, data, limits) else -limits.name
+        if (law.cost - final.cost) / max(excess, 1.0) < lead_over:
+            return (
+                "unexplained",
+                (),
+                "one law at one place, which has no name, explains it as well as several",
+            )
     left = final.fit.objective / (2 * data.value.size)
     if measured_noise and left > limits.misfit and final.fit.objective > limits.remains * base.fit.objective:
         return "unexplained", (), "what the best mechanism leaves is far more than noise"
@@ -155,7 +165,7 @@ def _verdict(
     named = []
     for i, candidate in enumerate(selection.chain[1:]):
         rivals = selection.stages[i]
-        named.append(_named(final.fit, i + len(base.terms), _confidence(rivals, candidate)))
+        named.append(_named(final.fit, i + len(base.terms), _confidence(rivals, candidate), scatter))
     verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
     return verdict, tuple(named), ""
 
@@ -195,11 +205,12 @@ def _confidence(stage: Sequence[Candidate], best: Candidate) -> float:
     return float(1.0 / weights.sum())
 
 
-def _named(made: Fit, i: int, confidence: float) -> Named:
+def _named(made: Fit, i: int, confidence: float, scatter: Scatter) -> Named:
     first = made.n_theta + sum(t.n for t in made.terms[:i])
     term = made.terms[i]
     at = slice(first, first + term.n)
-    return Named(term, made.point.vector()[at], np.sqrt(np.diag(made.covariance)[at]), confidence)
+    value, std = made.point.vector()[at], np.sqrt(np.diag(made.covariance)[at])
+    return Named(term, value, with_scale(term.parameters, value, std, scatter.residue), confidence)
 
 
 def _best_place(selection: Selection) -> Place | None:

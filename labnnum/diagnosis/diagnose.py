@@ -141,7 +141,7 @@ def _taken_apart(structure: Structure, train: Frf) -> tuple[Structure, list[tupl
                 term = replace(term, data={"swap": (at, names.index(term.place.to))})
             else:
                 term = replace(term, data={"channel": at})
-        initial.append((term, np.array([p.nominal for p in added.parameters])))
+        initial.append((term.fitted, np.array([p.nominal for p in added.parameters])))
     return structure.inner, initial
 
 

@@ -9,7 +9,8 @@ complex s, so that exponential windows and broadened resonances need no code of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.point import Point, Response, State
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
-from labnnum.mechanisms.base import Change, Site, Term
+from labnnum.mechanisms.base import Site, Term
+from labnnum.mechanisms.changes import Change, Freed
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
@@ -29,6 +31,18 @@ REACH = 2.5
 
 NEAR = 1.6
 """Modes up to so many times the band have errors of their own: their flanks still reach into it."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Changed:
+    """M and K with changes, their derivatives, and the shapes and base loads of coordinates that were appended."""
+
+    mass: NDArray
+    stiffness: NDArray
+    slopes: list[tuple[NDArray, NDArray]]
+    """To the structure's parameters, then to each change's."""
+    static: NDArray
+    own_load: NDArray
 
 
 class Engine:
@@ -129,8 +143,8 @@ class Engine:
             self._cache[key] = self._state(theta, changes)
         return self._cache[key]
 
-    def _changed(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> tuple[NDArray, NDArray, list]:
-        """M, K and their derivatives to theta and to the changes' parameters."""
+    def _changed(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> _Changed:
+        """The matrices, coordinates of supports that were let go appended, and their derivatives."""
         off = theta - self.theta0
         if self._affine is not None:
             mass, stiffness = self._affine.at(theta)
@@ -139,47 +153,112 @@ class Engine:
             m = self.structure.matrices(theta)
             mass, stiffness = np.real(m.M), np.real(m.K)
             slopes = [(d.M, d.K) for d in self.structure.derivatives(theta)]
+        own = []
         for change, p in changes:
-            more, stiffer = change.matrices(p, off)
-            mass, stiffness = mass + more, stiffness + stiffer
-            for j, (a, b) in enumerate(change.structure_derivatives(p, off)):
-                slopes[j] = (slopes[j][0] + a, slopes[j][1] + b)
-            slopes += change.derivatives(p, off)
-        return mass, stiffness, slopes
+            own.append(change.derivatives(p, off))
+            if not isinstance(change, Freed):
+                more, stiffer = change.matrices(p, off)
+                mass, stiffness = mass + more, stiffness + stiffer
+                for j, (a, b) in enumerate(change.structure_derivatives(p, off)):
+                    slopes[j] = (slopes[j][0] + a, slopes[j][1] + b)
+        if any(isinstance(c, Freed) for c, _ in changes):
+            return self._freed(mass, stiffness, slopes, own, changes, off)
+        every = [*slopes, *(pair for part in own for pair in part)]
+        return _Changed(mass, stiffness, every, np.zeros((len(mass), 0)), np.zeros(0))
+
+    def _freed(
+        self, mass: NDArray, stiffness: NDArray, slopes: list, own: list, changes: Sequence[tuple[Change, NDArray]],
+        off: NDArray,
+    ) -> _Changed:  # fmt: skip
+        """With the held motions of supports let go: u = y + R q, so that mass that came to u loads y and q alike."""
+        free = [c for c, _ in changes if isinstance(c, Freed)]
+        static = np.hstack([c.static for c in free])
+        n, d = static.shape
+        spread = np.hstack([np.eye(n), static])
+
+        def lifted(pair: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
+            return spread.T @ pair[0] @ spread, np.pad(pair[1], (0, d))
+
+        nominal = self._nominal_mass
+        across = self._across(free, nominal)
+        more, stiffness = lifted((mass - nominal, stiffness))
+        mass = np.pad(nominal, (0, d)) + more
+        mass[n:, n:] += across[0]
+        stiffness[n:, n:] -= across[1] * (static.T @ stiffness[:n, :n] @ static)
+        slopes = [lifted(pair) for pair in slopes]
+        for _, slope in slopes:
+            slope[n:, n:] -= across[1] * (static.T @ slope[:n, :n] @ static)
+        every, at = [], n
+        for (change, p), part in zip(changes, own, strict=True):
+            if not isinstance(change, Freed):
+                every += [lifted(pair) for pair in part]
+                continue
+            here = slice(at, at + change.static.shape[1])
+            at = here.stop
+            mass[:n, here] += change.load
+            mass[here, :n] += change.load.T
+            for whole, share in zip((mass, stiffness), change.matrices(p, off), strict=True):
+                whole[here, here] += share
+            for pair, share in zip(slopes, change.structure_derivatives(p, off), strict=False):
+                pair[1][here, here] += share[1]
+            for _, slope in part:
+                whole = np.zeros_like(stiffness)
+                whole[here, here] = slope
+                every.append((np.zeros_like(mass), whole))
+        return _Changed(mass, stiffness, [*slopes, *every], static, np.concatenate([c.own_load for c in free]))
+
+    @staticmethod
+    def _across(free: Sequence[Freed], mass: NDArray) -> tuple[NDArray, NDArray]:
+        """Mass between motions of different supports, (d, d), and ones where those stand: of each support the shapes
+        R are with the others held, so that two are coupled by R1' L2 + L1' R2 - R1' M R2 and by -R1' K R2.
+        """
+        static, load = (np.hstack([getattr(c, k) for c in free]) for k in ("static", "load"))
+        own = np.repeat(np.arange(len(free)), [c.static.shape[1] for c in free])
+        apart = (own[:, None] != own[None, :]).astype(float)
+        both = static.T @ load
+        return apart * (both + both.T - static.T @ mass @ static), apart
+
+    @cached_property
+    def _nominal_mass(self) -> NDArray[np.float64]:
+        return np.real(self.structure.matrices(self.theta0).M)
 
     def _state(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> State:
         from scipy.linalg import LinAlgError, eigh
 
         v = self.basis
-        mass, stiffness, d = self._changed(theta, changes)
+        n = len(v)
+        made = self._changed(theta, changes)
+        mass, stiffness, d = made.mass, made.stiffness, made.slopes
         quick = self._affine if not changes else None
         try:
             if changes:  # they bend the elements themselves, which the nominal low modes do not span
-                value, shape = eigh(stiffness, mass, subset_by_index=[0, v.shape[1] - 1])
+                value, own = eigh(stiffness, mass, subset_by_index=[0, v.shape[1] - 1])
             else:
                 small = quick.reduced(theta) if quick else (v.T @ mass @ v, v.T @ stiffness @ v)
-                value, shape = eigh(small[1], small[0])
+                value, own = eigh(small[1], small[0])
         except LinAlgError:
             raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}") from None
-        q, shape = shape, shape if changes else v @ shape
+        shape = own[:n] + made.static @ own[n:] if changes else v @ own
         turned = np.where(shape[np.abs(shape).argmax(axis=0), np.arange(shape.shape[1])] < 0, -1.0, 1.0)
-        q, shape = q * turned, shape * turned
+        own, shape = own * turned, shape * turned
+        whole = own if changes else shape
         sensors, drives = self._rows(theta)
         out = sensors @ shape
         omega = np.sqrt(np.maximum(value, 0))
-        own, slopes = (q, quick.small_slopes) if quick else (shape, d)
+        own, slopes = (own, quick.small_slopes) if quick else (whole, d)
         mixed = [_mode_derivatives(own.T @ dk @ own, own.T @ dm @ own, value) for dm, dk in slopes]
         d_log = np.array([a for a, _ in mixed]).reshape(len(d), omega.size)
         mix = np.array([b for _, b in mixed]).reshape(len(d), omega.size, omega.size)
         n_par = len(d)
         if self.is_base:
             r = np.real(self.structure.rigid(theta))
-            pushed = mass @ r + self.held_load
-            load = -(shape.T @ pushed)[:, None]
-            high_in = -(pushed @ self.high)[None]
-            d_load = np.array([-(shape.T @ (dm @ r))[:, None] for dm, _ in d]).reshape(n_par, -1, 1)
+            moved = np.pad(r, (0, len(mass) - n))
+            pushed = mass @ moved + np.concatenate([self.held_load, made.own_load])
+            load = -(whole.T @ pushed)[:, None]
+            high_in = -(pushed[:n] @ self.high)[None]
+            d_load = np.array([-(whole.T @ (dm @ moved))[:, None] for dm, _ in d]).reshape(n_par, -1, 1)
         else:
-            r = np.zeros(shape.shape[0])
+            r = np.zeros(n)
             load = (drives @ shape).T
             high_in = drives @ self.high
             d_load = self._moved(self.inputs, theta, shape, n_par)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.point import Point, Response
+from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import ChannelMechanism, Term
 
@@ -379,6 +380,15 @@ def _solve(a: NDArray, rhs: NDArray) -> NDArray:
     return np.moveaxis(np.linalg.solve(full, np.moveaxis(rhs, 2, 0)), 0, 2)
 
 
+def _or_nothing(engine: Engine, point: Point, terms: Sequence[Term], s: NDArray) -> NDArray[np.complex128]:
+    """FRFs with `terms`, or without the last where its size is beyond what the model can hold."""
+    try:
+        return engine.response(point, terms, s).value
+    except ModelError:
+        held = point.terms[: point.terms.size - terms[-1].n]
+        return engine.response(replace(point, terms=held), terms[:-1], s).value
+
+
 def sweep(
     engine: Engine, point: Point, term: Term, starts: NDArray, s: NDArray, held: Sequence[Term] = ()
 ) -> NDArray[np.complex128]:
@@ -394,7 +404,7 @@ def sweep(
 
     k = term.columns.shape[1] if term.groups else 0
     if k == 0:
-        return np.stack([engine.response(at(p), terms, s).value for p in starts])
+        return np.stack([_or_nothing(engine, at(p), terms, s) for p in starts])
     one = Evaluation(engine, at(np.zeros(term.n)), terms, s)
     x, h, z, gw = one.ingredients(k)
     g = engine.grid(term, starts, s)  # (n, k, k, f)

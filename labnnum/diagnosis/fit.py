@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.point import Point, Response
-from labnnum.errors import LabnnumError
-from labnnum.mechanisms.base import Change, Term
+from labnnum.errors import LabnnumError, ModelError
+from labnnum.mechanisms.base import Term
+from labnnum.mechanisms.changes import Change
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +88,16 @@ class Fit:
     def n_theta(self) -> int:
         """Number of the structure's parameters."""
         return self.point.theta.size
+
+
+def changes_of(made: Fit) -> list[tuple[Change, NDArray[np.float64]]]:
+    """The changes of the whole structure that a fit holds, with their parameters."""
+    out, at = [], 0
+    for t in made.terms:
+        if t.whole is not None:
+            out.append((t.whole, made.point.terms[at : at + t.n]))
+        at += t.n
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,7 +376,10 @@ def fit(
         for _ in range(6):
             step = _step(problem, here, x, damping)
             trial = problem.clip(problem.centred(x, x + step))
-            value = problem.value(trial, here)
+            try:
+                value = problem.value(trial, here)
+            except ModelError:  # a mass below nothing: too far
+                value = np.inf
             if np.isfinite(value) and value < here.objective:
                 moved = True
                 break

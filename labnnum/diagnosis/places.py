@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.errors import ModelError
+from labnnum.mechanisms.attached import in_structure
 from labnnum.mechanisms.base import Mechanism, Site, Term
 from labnnum.mechanisms.geometry import touching
 
@@ -48,4 +49,6 @@ def places_of(engine: Engine, given: Mapping[str, Sequence] | None = None) -> Pl
 def all_terms(engine: Engine, places: Places, catalogue: Iterable[Mechanism]) -> tuple[Site, list[Term]]:
     """The site and every mechanism of the catalogue at every place where it can act."""
     site = engine.site(places.nodes, places.elements, places.supports)
-    return site, [t for m in catalogue if m.domain != "nonlinear" for t in m.terms(site)]
+    floats = engine.rigid_modes > 0
+    terms = [t for m in catalogue if m.domain != "nonlinear" for t in m.terms(site)]
+    return site, [in_structure(t, floats=floats) for t in terms]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, Problem, Scatter, fit
-from labnnum.diagnosis.linear import choose_lines, data_of
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.search import broaden
+from labnnum.diagnosis.task import choose_lines, data_of
 from labnnum.frf import MOTION_ORDER, Frf
 from labnnum.mechanisms.base import Term
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
-from labnnum.diagnosis.linear import Candidate, Selection, dispersion, settled
+from labnnum.diagnosis.task import Candidate, Selection, dispersion, settled
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
 
@@ -50,7 +51,15 @@ def one_law(
     law = selection.general
     if law is None or not law.last.groups or not settled(law.fit, data, limits):
         return False
+    if selection.chain[-1].cost < law.cost - limits.name and _apart(selection):
+        return False
     return error > limits.improve_further * errors_of(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1]
+
+
+def _apart(selection: Selection) -> bool:
+    """Whether the named mechanisms stand at places of their own: two at one are one law in two parts."""
+    places = [t.place for t in selection.chain[-1].terms[len(selection.chain[0].terms) :]]
+    return not any(a.touches(b) for a, b in combinations(places, 2))
 
 
 def alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
@@ -68,9 +77,20 @@ def alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> S
     return selection if enough else replace(selection, chain=(base,))
 
 
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """How models are judged by data that no fit saw."""
+
+    errors: Callable[[Fit], tuple[float, float]]
+    """Relative errors of a trimmed fit, on training and on held-out data."""
+
+    score: Callable[[Fit], float]
+    """Chi-square of the held-out data under a fit (`prediction.foretold`)."""
+
+
 def worthwhile(
     engine: Engine, lines: Frf, data: Data, selection: Selection, limits: Limits, scatter: Scatter,
-    base: tuple[Fit, tuple[float, float]], errors: Callable[[Fit], tuple[float, float]],
+    base: tuple[Fit, tuple[float, float]], judge: Judge,
 ) -> tuple[Selection, Fit, tuple[float, float]]:  # fmt: skip
     """The chain as far as its mechanisms improve the prediction; its model as used, and its errors.
 
@@ -80,27 +100,35 @@ def worthwhile(
     before, kept = selection.chain[0], 0
     plain, error = base
     tried = [(c, trimmed(engine, lines, c.fit, scatter)) for c in selection.chain[1:]]
-    for i, (_, made) in enumerate(tried):
-        told = errors(made)
-        if i and told[1] > min(
+    score = judge.score(before.fit)
+    for i, (c, made) in enumerate(tried):
+        told, foreseen = judge.errors(made), judge.score(c.fit)
+        closer = told[1] <= min(
             limits.improve_further ** (i + 1 - kept) * error[1], limits.improve ** (i + 1) * base[1][1]
-        ):
+        )
+        if i and not closer and not _foreseen((score, foreseen), i + 1 - kept, limits, (error[1], told[1])):
             continue
-        kept, plain, error = i + 1, made, told
+        kept, plain, error, score = i + 1, made, told, foreseen
     stages: tuple[tuple[Candidate, ...], ...] = selection.stages[: max(kept, 1)]
     last = selection.chain[kept]
     while kept and len(stages) > 1:
-        leaner = [_without(engine, data, last, len(before.terms) + i, scatter) for i in range(len(stages))]
+        leaner = [_without(engine, data, last, len(before.terms) + i, scatter, stages) for i in range(len(stages))]
         used = [trimmed(engine, lines, c.fit, scatter) for c in leaner]
-        left = [errors(made) for made in used]
+        left = [judge.errors(made) for made in used]
+        scores = [judge.score(c.fit) for c in leaner]
         i = min(range(len(left)), key=lambda k: left[k][1])
-        if left[i][1] > 1.1 * error[1]:
+        if left[i][1] > 1.1 * error[1] or _foreseen((scores[i], score), 1, limits, (left[i][1], error[1])):
             last, stages = _foremost(last, len(before.terms), stages, [t[1] for t in left])
             break
-        last, plain, error = leaner[i], used[i], left[i]
+        last, plain, error, score = leaner[i], used[i], left[i], scores[i]
         stages = (*stages[:i], *stages[i + 1 :])
     steps = [replace(last, terms=last.terms[: len(before.terms) + i + 1]) for i in range(len(stages) - 1)]
     return replace(selection, chain=(before, *steps, last) if kept else (before,), stages=stages), plain, error
+
+
+def _foreseen(score: tuple[float, float], n: int, limits: Limits, error: tuple[float, float]) -> bool:
+    """Whether `n` mechanisms more foretell data held out by that much better, and predict no worse."""
+    return foretells(score, limits.improve_further**n, limits, error[0]) and error[1] <= 1.05 * error[0]
 
 
 def _foremost(
@@ -119,12 +147,17 @@ def _foremost(
     return replace(last, terms=terms, fit=made), tuple(stages[i - n] for i in order[n:])
 
 
-def _without(engine: Engine, data: Data, last: Candidate, which: int, scatter: Scatter) -> Candidate:
-    """The last model without one of its terms, fitted anew."""
+def _without(
+    engine: Engine, data: Data, last: Candidate, which: int, scatter: Scatter,
+    stages: Sequence[tuple[Candidate, ...]],
+) -> Candidate:  # fmt: skip
+    """The last model without one of its terms, fitted anew; or the same model as it came by in the search."""
     sizes = np.cumsum([0, *(t.n for t in last.terms)])
     terms = (*last.terms[:which], *last.terms[which + 1 :])
     point = replace(last.fit.point, terms=np.delete(last.fit.point.terms, np.arange(sizes[which], sizes[which + 1])))
-    return Candidate(terms, fit(engine, data, terms, scatter, point.vector(), steps=25), last.cost)
+    made = fit(engine, data, terms, scatter, point.vector(), steps=25)
+    met = [c.fit for stage in stages for c in stage if c.terms == terms]
+    return Candidate(terms, min([made, *met], key=lambda f: f.objective), last.cost)
 
 
 def missing(

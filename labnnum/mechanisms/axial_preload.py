@@ -9,7 +9,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.base import SIZES, TRANSLATIONS, Change, Mechanism, Place, Site, Term, amount
+from labnnum.mechanisms.base import SIZES, TRANSLATIONS, Mechanism, Place, Site, Term, amount
+from labnnum.mechanisms.changes import Change
 from labnnum.mechanisms.geometry import AXES, dof_rows
 from labnnum.mechanisms.laws import Spring
 
@@ -70,13 +71,37 @@ def geometric_stiffness(site: Site, a: str, b: str) -> np.ndarray | None:
     """Geometric stiffness (n, n) of a straight beam element under unit tension; a string without rotations."""
     if a not in site.nodes or b not in site.nodes:
         return None
+    h = float(np.linalg.norm(np.subtract(site.nodes[b], site.nodes[a])))
+    if h == 0:
+        return None
+    beam = np.array(
+        [
+            [36, 3 * h, -36, 3 * h],
+            [3 * h, 4 * h**2, -3 * h, -(h**2)],
+            [-36, -3 * h, 36, -3 * h],
+            [3 * h, -(h**2), -3 * h, 4 * h**2],
+        ]
+    ) / (30 * h)
+    string = np.zeros((4, 4))
+    string[np.ix_([0, 2], [0, 2])] = np.array([[1, -1], [-1, 1]]) / h
+    found = bent(site, a, b, beam[None], string[None])
+    return None if found is None else found[0]
+
+
+def bent(site: Site, a: str, b: str, beam: np.ndarray, string: np.ndarray | None = None) -> np.ndarray | None:
+    """Matrices (k, 4, 4) over deflection and slope at either end, in both planes that bend: (k, n, n).
+
+    Where the nodes have no rotation `string` stands for `beam`, or nothing. None where a node's place is not known.
+    """
+    if a not in site.nodes or b not in site.nodes:
+        return None
     arm = np.array(site.nodes[b], float) - np.array(site.nodes[a], float)
     length = float(np.linalg.norm(arm))
     if length == 0:
         return None
     axis = arm / length
     ra, rb = dof_rows(site, a), dof_rows(site, b)
-    out = np.zeros_like(site.stiffness)
+    out = np.zeros((len(beam), *site.stiffness.shape))
     for i, along in enumerate(TRANSLATIONS):
         across = np.eye(3)[i] - axis[i] * axis
         if np.linalg.norm(across) < 0.99:
@@ -86,20 +111,11 @@ def geometric_stiffness(site: Site, a: str, b: str) -> np.ndarray | None:
         sign = -float(turn[int(np.argmax(np.abs(turn)))])
         entries = [(ra.get(along), 0, 1.0), (ra.get(spin), 1, sign), (rb.get(along), 2, 1.0), (rb.get(spin), 3, sign)]
         has_turn = ra.get(spin) is not None or rb.get(spin) is not None
-        if has_turn:
-            k = np.array(
-                [
-                    [36, 3 * length, -36, 3 * length],
-                    [3 * length, 4 * length**2, -3 * length, -(length**2)],
-                    [-36, -3 * length, 36, -3 * length],
-                    [3 * length, -(length**2), -3 * length, 4 * length**2],
-                ]
-            ) / (30 * length)
-        else:
-            k = np.zeros((4, 4))
-            k[np.ix_([0, 2], [0, 2])] = np.array([[1, -1], [-1, 1]]) / length
+        k = beam if has_turn else string
+        if k is None:
+            continue
         for row, i1, s1 in entries:
             for column, i2, s2 in entries:
                 if row is not None and column is not None:
-                    out[row, column] += s1 * s2 * k[i1, i2]
+                    out[:, row, column] += s1 * s2 * k[:, i1, i2]
     return out

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.mechanisms.changes import Change
 from labnnum.mechanisms.laws import Law
 from labnnum.parameters import Parameter
 
@@ -42,22 +43,6 @@ class Place:
         if self.kind in ("global", "system"):
             return "the whole structure"
         return f"{self.kind} {self.id}" + (f"-{self.to}" if self.to is not None else "")
-
-
-class Change(ABC):
-    """A change of the whole structure's matrices: what acts everywhere is taken to the modes, not to attachments."""
-
-    @abstractmethod
-    def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
-        """Change of M and K, each (n, n), at the term's parameters p, the structure's off nominal by `change`."""
-
-    @abstractmethod
-    def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
-        """Its derivative to each parameter of the term."""
-
-    def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
-        """Its derivative to each parameter of the structure; empty where there is none."""
-        return []
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +93,18 @@ class Term:
     def whole(self) -> Change | None:
         """The change of the whole structure's matrices that the term makes, if it is of that kind."""
         return self.data.get("change")
+
+    @property
+    def fitted(self) -> Term:
+        """The term as a fit takes it: one that changes the structure so far that ordinary errors are those of the
+        changed one, not of the structure without it. Itself where there is no such difference.
+        """
+        return self.data.get("fitted", self)
+
+    @property
+    def sought(self) -> Term:
+        """The term as a search takes it, whose `fitted` this one is: what acts on few motions, by a law."""
+        return self.data.get("sought", self)
 
     @property
     def n(self) -> int:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.errors import ConfigError, ModelError
-from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Site, Term
+from labnnum.mechanisms.attached import in_structure
+from labnnum.mechanisms.base import ChannelMechanism, Group, Mechanism, Place, Site, Term
 from labnnum.mechanisms.geometry import held_motions, touching
+from labnnum.mechanisms.laws import Release
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
 from labnnum.nonlinear import Element
 from labnnum.parameters import Parameter
@@ -34,8 +36,9 @@ class Added:
 class ExtendedStructure(Structure):
     """`inner` with `added` mechanisms; theta is the inner structure's, then each mechanism's.
 
-    Coordinates are the inner ones, then one for each internal motion of a mechanism. `trim` shifts the inner
-    structure's natural frequencies by relative amounts, mode by mode about its nominal modes. `laws` are nonlinear:
+    Coordinates are the inner ones, then one for each internal motion of a mechanism. `trim` shifts the natural
+    frequencies by relative amounts, mode by mode about the nominal modes: those of the inner structure with what the
+    diagnosis takes for a part of it (supports that were let go, what acts everywhere). `laws` are nonlinear:
     they act in time simulation (`law_elements`) and as nothing in anything linear, so their parameters are not updated.
     """
 
@@ -90,19 +93,27 @@ class ExtendedStructure(Structure):
 
     @cached_property
     def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Frequencies, M times shapes, and the coordinates that they are over: of what `trim` shifts."""
         from scipy.linalg import eigh
 
-        m = self.inner.matrices(self.inner.nominal)
+        own = [a for a in self.added if a.term.whole is not None or a.term.fitted is not a.term]
+        core = replace(self, added=tuple(own), trim=(), laws=())
+        m = core.matrices(core.nominal)
         value, shape = eigh(np.real(m.K), np.real(m.M))
-        return np.sqrt(np.maximum(value, 0)), shape, np.real(m.M) @ shape
+        index = list(range(len(self.inner.matrices(self.inner.nominal).M)))
+        at = len(index)
+        for added, n in self._internal():
+            if added in own:
+                index += range(at, at + n)
+            at += n
+        return np.sqrt(np.maximum(value, 0)), np.real(m.M) @ shape, np.array(index)
 
     def matrices(self, theta: NDArray) -> Matrices:
         """The inner matrices with every mechanism's share, internal coordinates appended."""
         own, parts = self._split(np.asarray(theta))
         base = self.inner.matrices(own)
         blocks = [np.array(a, dtype=np.result_type(a, theta)) for a in (base.M, base.C, base.K, base.D)]
-        if any(self.trim):
-            self._trimmed(blocks)
+        freed: list[tuple[Place, Group, int]] = []
         for added, p in zip(self.added, parts, strict=True):
             if added.term.whole is not None:
                 mass, stiffness = added.term.whole.matrices(p, own - self.inner.nominal)
@@ -113,14 +124,37 @@ class ExtendedStructure(Structure):
             for group in added.term.groups:
                 q = p[group.first : group.first + len(group.law.names)]
                 law = group.law_at(own - self.inner.nominal)
+                if isinstance(group.law, Release):
+                    freed.append((added.term.place, group, len(blocks[0])))
                 blocks = _attach(blocks, law.local(q), group.columns, law.n_internal, joint=group.law.joint)
+        for (one, a, at), (other, b, to) in combinations(freed, 2):
+            if one != other:
+                self._tie(blocks, base, (a, at), (b, to))
+        if any(self.trim):
+            self._trimmed(blocks)
         return Matrices(*blocks)
 
+    def _tie(self, blocks: list[NDArray], base: Matrices, a: tuple[Group, int], b: tuple[Group, int]) -> None:
+        """What couples the motions of two supports that were let go, each with shapes for which the other holds."""
+        (one, at), (other, to) = a, b
+        assert one.carried is not None and other.carried is not None  # noqa: PT018
+        mass = one.carried.T @ other.columns + one.columns.T @ other.carried
+        mass = mass - one.carried.T @ np.real(self._nominal_mass) @ other.carried
+        stiffness = -one.carried.T @ base.K @ other.carried
+        rows, columns = slice(at, at + len(mass)), slice(to, to + mass.shape[1])
+        for block, tie in ((blocks[0], mass), (blocks[2], stiffness)):
+            block[rows, columns] += tie
+            block[columns, rows] += tie.T
+
+    @cached_property
+    def _nominal_mass(self) -> NDArray:
+        return self.inner.matrices(self.inner.nominal).M
+
     def _trimmed(self, blocks: list[NDArray]) -> None:
-        omega, _, loads = self._nominal_modes
+        omega, loads, index = self._nominal_modes
         n = len(self.trim)
         change = omega[:n] ** 2 * ((1 + np.array(self.trim)) ** 2 - 1)
-        blocks[2] += (loads[:, :n] * change) @ loads[:, :n].T
+        blocks[2][np.ix_(index, index)] += (loads[:, :n] * change) @ loads[:, :n].T
 
     def _extra_mode(self, blocks: list[NDArray], p: NDArray) -> list[NDArray]:
         w = 2 * np.pi * p[0]
@@ -343,7 +377,8 @@ def _find(
         site = site_of(structure, drive=drive)
     except ValueError as error:
         raise ModelError(f"mechanisms cannot be added: {error}") from error
-    terms = [t for t in mechanism.terms(site) if t.place == place]
+    floats = site.omega.size < len(site.mass)
+    terms = [in_structure(t, floats=floats) for t in mechanism.terms(site) if t.place == place]
     for term in terms:
         if term.variant == variant:
             return term

@@ -307,51 +307,49 @@ class Compliance(Law):
 @final
 @dataclass(frozen=True, eq=False)
 class Release(Law):
-    """Held motions q of a support given compliances c: between q and the base stands (1 + i eta) / c.
+    """Held motions q of a support given compliances c: between q and the base stands a spring 1 / c.
 
     With u = y + R q, R the static shape of q, the free coordinates y and q are coupled by mass alone (Craig and
     Bampton, 1968): columns L = M_ff R + M_fs, (n, d), act on y with s^2 L q, and q has K_red = K_ss + K_sf R and
     M_red = R' M_ff R + R' M_fs + M_sf R + M_ss, (d, d). Condensed on the columns' motion s^2 L' y the law is
-    -E, E = C (I + (K_red + s^2 M_red) C)^-1, C = diag(c) / (1 + i eta). The last parameter is eta. `factor` scales
-    K_red.
+    -E, E = C (I + (K_red + s^2 M_red) C)^-1, C = diag(c). `factor` scales K_red. What the clamp loses is modal damping.
     """
 
     stiffness: NDArray[np.float64]
     mass: NDArray[np.float64]
-    names: tuple[str, ...] = ("compliance", "loss_factor")
-    units: tuple[str, ...] = ("m/N", "1")
+    names: tuple[str, ...] = ("compliance",)
+    units: tuple[str, ...] = ("m/N",)
     factor: Any = 1.0
     inertial: bool = True  # type: ignore[misc]
 
-    def _parts(self, s: NDArray, p: NDArray) -> tuple[NDArray, NDArray]:
-        """C, (d, d), and (I + C Z)^-1, (n_f, d, d)."""
-        c = np.diag(np.asarray(p[:-1])) / (1 + 1j * p[-1])
+    def _left(self, s: NDArray, p: NDArray) -> NDArray:
+        """(I + C Z)^-1, (n_f, d, d)."""
         z = self.factor * self.stiffness + (s**2)[:, None, None] * self.mass
-        return c, np.linalg.inv(np.eye(len(c)) + c @ z)
+        return np.linalg.inv(np.eye(len(self.mass)) + np.diag(np.asarray(p)) @ z)
 
     def value(self, s: NDArray, p: NDArray) -> NDArray:
         """-E at every line, shape (d, d, n_f)."""
-        c, left = self._parts(s, p)
-        return -np.moveaxis(left @ c, 0, 2)
+        return -np.moveaxis(self._left(s, p) @ np.diag(np.asarray(p)), 0, 2)
 
     def derivative(self, s: NDArray, p: NDArray) -> NDArray:
-        """-dE/dc_i and -dE/deta, shape (d + 1, d, d, n_f)."""
-        c, left = self._parts(s, p)
-        lossy = 1 + 1j * p[-1]
-        slopes = [np.einsum("fa,fb->abf", left[:, :, i], left[:, :, i]) for i in range(len(c))]
-        return np.stack([*(-x / lossy for x in slopes), np.moveaxis(1j * left @ (left @ c) / lossy, 0, 2)])
+        """-dE/dc_i, shape (d, d, d, n_f)."""
+        left = self._left(s, p)
+        return np.stack([-np.einsum("fa,fb->abf", left[:, :, i], left[:, :, i]) for i in range(len(self.mass))])
+
+    def held(self, p: NDArray) -> tuple[NDArray, NDArray]:
+        """Springs 1 / c, (d,), and their derivatives to c; a compliance of zero is a spring stiff beyond doubt."""
+        least = 1.0 / (1e6 * np.abs(np.diag(self.stiffness)) + STIFF**2 * np.diag(self.mass))
+        c = np.where(np.abs(p) > least, np.asarray(p), least)
+        return 1.0 / c, -1.0 / c**2
 
     def local(self, p: NDArray) -> Local:
-        """The columns of y, and q; a compliance of zero is held by a spring stiff beyond doubt."""
+        """The columns of y, and q."""
         d = len(self.mass)
-        mass, stiffness, loss = np.zeros((3, 2 * d, 2 * d), np.result_type(p, self.factor, float))
+        mass, stiffness = np.zeros((2, 2 * d, 2 * d), np.result_type(p, self.factor, float))
         mass[:d, d:] = mass[d:, :d] = np.eye(d)
         mass[d:, d:] = self.mass
-        tiny = 1e-12 / np.maximum(np.diag(self.mass), 1e-300)
-        held = np.diag([1.0 / c if abs(c) > t else 1.0 / t for c, t in zip(p[:-1], tiny, strict=True)])
-        stiffness[d:, d:] = self.factor * self.stiffness + held
-        loss[d:, d:] = p[-1] * held
-        return mass, np.zeros_like(mass), stiffness, loss
+        stiffness[d:, d:] = self.factor * self.stiffness + np.diag(self.held(p)[0])
+        return mass, np.zeros_like(mass), stiffness, np.zeros_like(mass)
 
     @property
     def n_internal(self) -> int:
@@ -366,3 +364,7 @@ class Release(Law):
     def at(self, factor: Any) -> Law:
         """The stiffness scales, the mass does not."""
         return replace(self, factor=self.factor * factor)
+
+
+STIFF = 1e6
+"""Natural frequency in rad/s of what a clamp holds, on the stiffest spring that a clamp is taken for."""

@@ -9,8 +9,9 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.axial_preload import geometric_stiffness
-from labnnum.mechanisms.base import TRANSLATIONS, Change, Mechanism, Place, Site, Term
+from labnnum.mechanisms.axial_preload import bent
+from labnnum.mechanisms.base import TRANSLATIONS, Mechanism, Place, Site, Term
+from labnnum.mechanisms.changes import Change
 from labnnum.mechanisms.geometry import element_gain, element_stiffness
 from labnnum.parameters import Parameter
 
@@ -23,8 +24,9 @@ RATIO = 3.12
 class Thickness(Change):
     """Timoshenko's terms of slender elements whose own matrices leave them out.
 
-    K_e = EI/L b b' + 12 EI/L^3 a a' / (1 + Phi), Phi = 12 r^2 (E / kappa G) / L^2, and M += rho A r^2 times the
-    geometric stiffness of unit tension (Przemieniecki, 1968, sections 5.6 and 11.4); r^2 = 2 t c / (1 + E / kappa G).
+    K_e = EI/L b b' + 12 EI/L^3 a a' / (1 + Phi), Phi = 12 r^2 (E / kappa G) / L^2; the mass is that of the same shapes,
+    whose sections turn less than their line slopes (Przemieniecki, 1968, sections 5.6 and 11.8);
+    r^2 = 2 t c / (1 + E / kappa G).
     """
 
     shear: NDArray[np.float64]
@@ -35,7 +37,10 @@ class Thickness(Change):
 
     lengths: NDArray[np.float64]
     turning: NDArray[np.float64]
-    """rho A times the geometric stiffness of all elements, (n, n)."""
+    """Mass per r^2: coefficients of 1, Phi and Phi^2 over (1 + Phi)^2 of each element, (3, n_e, n, n)."""
+
+    moving: NDArray[np.float64]
+    """The same of the mass that moves across, in kg: (3, n_e, n, n)."""
 
     wave: float
     """c = sqrt(EI / rho A), m^2/s."""
@@ -48,21 +53,31 @@ class Thickness(Change):
     def _scale(self, change: NDArray) -> NDArray:
         return 1.0 + self.gain @ change if self.gain.shape[1] else np.ones(len(self.gain))
 
+    @staticmethod
+    def _sum(parts: NDArray, weights: NDArray) -> NDArray[np.float64]:
+        """Sum over elements of the three coefficients (3, n_e, n, n) times their weights (3, n_e)."""
+        return np.einsum("ae,aeij->ij", weights, parts, optimize=True)
+
     def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
-        """Rotary inertia, and what shear takes from the stiffness."""
+        """Rotary inertia, how sheared shapes carry their mass, and what shear takes from the stiffness."""
         phi, _, slope = self._phi(p)
         loss = np.tensordot(-phi / (1 + phi) * self._scale(change), self.shear, 1)
-        return slope * p[0] * self.turning, loss
+        powers = np.stack([phi**0, phi, phi**2]) / (1 + phi) ** 2
+        bare = np.stack([phi**0, 0 * phi, 0 * phi])
+        return slope * p[0] * self._sum(self.turning, powers) + self._sum(self.moving, powers - bare), loss
 
     def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
         """To the shear time."""
         phi, per, slope = self._phi(p)
-        return [(slope * self.turning, np.tensordot(-per / (1 + phi) ** 2 * self._scale(change), self.shear, 1))]
+        powers = np.stack([phi**0, phi, phi**2]) / (1 + phi) ** 2
+        slopes = per * (np.stack([0 * phi, phi**0, 2 * phi]) / (1 + phi) ** 2 - 2 * powers / (1 + phi))
+        mass = slope * self._sum(self.turning, powers + p[0] * slopes) + self._sum(self.moving, slopes)
+        return [(mass, np.tensordot(-per / (1 + phi) ** 2 * self._scale(change), self.shear, 1))]
 
     def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
         """The elements' stiffness follows the parameters."""
         phi, _, _ = self._phi(p)
-        zero = np.zeros_like(self.turning)
+        zero = np.zeros(self.shear.shape[1:])
         return [(zero, np.tensordot(-phi / (1 + phi) * g, self.shear, 1)) for g in self.gain.T]
 
 
@@ -100,42 +115,81 @@ class ShearRotary(Mechanism):
 def thickness_of(site: Site) -> Thickness | None:
     """Timoshenko's terms for the elements of a straight beam; None if the matrices do not show any."""
     n = site.stiffness.shape[0]
-    shears, gains, lengths, rigidities = [], [], [], []
-    turning = np.zeros((n, n))
+    shears, gains, lengths, turning, moving = [], [], [], [], []
+    density, waves = _line_density(site), []
     for a, b in site.mesh:
         found = element_stiffness(site, a, b)
-        bent = geometric_stiffness(site, a, b)
-        if found is None or bent is None or not bent.any():
+        if found is None or density <= 0:
             continue
         arm = np.subtract(site.nodes[b], site.nodes[a])
         length = float(np.linalg.norm(arm))
         index, k, directions = found
         sideways = [a for a, x in zip(TRANSLATIONS, arm, strict=True) if abs(x) < 0.1 * length]
         across = next((i for i, d in enumerate(directions) if d in sideways and k[i, i] > 0), None)
-        if across is None:
+        turn, move = (bent(site, a, b, parts(length)) for parts in (rotary_mass, sideways_mass))
+        if across is None or turn is None or move is None or not turn.any():
             continue
         whole = np.zeros((n, n))
         whole[np.ix_(index, index)] = np.outer(k[:, across], k[across]) / k[across, across]
         shears.append(whole)
         gains.append(element_gain(site, a, b))
         lengths.append(length)
-        rigidities.append(k[across, across] * length**3 / 12)
-        turning += bent
-    density = _line_density(site)
-    if not shears or density <= 0:
+        waves.append(np.sqrt(k[across, across] * length**3 / 12 / density))
+        turning.append(density * turn)
+        moving.append(density * move)
+    if not shears:
         return None
-    wave = float(np.sqrt(np.median(rigidities) / density))
     gain = np.array(gains).reshape(len(shears), -1)
-    return Thickness(np.array(shears), gain, np.array(lengths), density * turning, wave)
+    masses = [np.moveaxis(np.array(m), 0, 1) for m in (turning, moving)]
+    return Thickness(np.array(shears), gain, np.array(lengths), masses[0], masses[1], float(np.median(waves)))
+
+
+def rotary_mass(length: float) -> NDArray[np.float64]:
+    """Coefficients of 1, Phi and Phi^2 over (1 + Phi)^2 of the rotary inertia, (3, 4, 4), per rho A r^2.
+
+    Over w and theta at either end; Przemieniecki (1968), section 11.8.
+    """
+    h = length
+    parts = [
+        [[36, 3 * h, -36, 3 * h], [3 * h, 4 * h**2, -3 * h, -(h**2)]],
+        [[0, -15 * h, 0, -15 * h], [-15 * h, 5 * h**2, 15 * h, -5 * h**2]],
+        [[0, 0, 0, 0], [0, 10 * h**2, 0, 5 * h**2]],
+    ]
+    return np.array([_mirrored(np.array(p, float)) for p in parts]) / (30 * h)
+
+
+def sideways_mass(length: float) -> NDArray[np.float64]:
+    """The same of the mass that moves across, (3, 4, 4), per rho A."""
+    h = length
+    parts = [
+        [[78, 11 * h, 27, -6.5 * h], [11 * h, 2 * h**2, 6.5 * h, -1.5 * h**2]],
+        [[147, 19.25 * h, 63, -15.75 * h], [19.25 * h, 3.5 * h**2, 15.75 * h, -3.5 * h**2]],
+        [[70, 8.75 * h, 35, -8.75 * h], [8.75 * h, 1.75 * h**2, 8.75 * h, -1.75 * h**2]],
+    ]
+    return np.array([_mirrored(np.array(p, float)) for p in parts]) * h / 210
+
+
+def _mirrored(upper: NDArray) -> NDArray[np.float64]:
+    """The rows of the first end (2, 4), and those of the second, which sees the element from the other side."""
+    flip = np.diag([1.0, -1.0])
+    own, across = upper[:, :2], upper[:, 2:]
+    return np.block([[own, across], [across.T, flip @ own @ flip]])
 
 
 def _line_density(site: Site) -> float:
-    """Mass per length, in kg/m: what a node carries in a translation over the length that it stands for."""
+    """Mass per length, in kg/m: what a node carries in a translation over the length that it stands for.
+
+    Of elements whose mass couples their ends it is seen without what stands on the nodes, 9/70 of the element's.
+    """
     reach: dict[str, float] = {}
+    coupled: list[float] = []
     for a, b in site.mesh:
         if a in site.nodes and b in site.nodes:
-            half = float(np.linalg.norm(np.subtract(site.nodes[b], site.nodes[a]))) / 2
-            reach[a], reach[b] = reach.get(a, 0.0) + half, reach.get(b, 0.0) + half
+            length = float(np.linalg.norm(np.subtract(site.nodes[b], site.nodes[a])))
+            reach[a], reach[b] = reach.get(a, 0.0) + length / 2, reach.get(b, 0.0) + length / 2
+            coupled += _coupled(site, a, b, length)
+    if coupled:
+        return float(np.median(coupled))
     held = {n for pair in site.mesh if set(pair) & set(site.supports) for n in pair}
     out = []
     for axis in TRANSLATIONS:
@@ -143,6 +197,20 @@ def _line_density(site: Site) -> float:
         together = sum(rows.values(), np.zeros(site.mass.shape[0]))
         out += [float(v @ site.mass @ together) / reach[n] for n, v in rows.items() if n not in held]
     return float(np.median(out)) if out else 0.0
+
+
+def _coupled(site: Site, a: str, b: str, length: float) -> list[float]:
+    """Mass per length of an element by what its consistent mass couples its ends with, across it."""
+    arm = np.subtract(site.nodes[b], site.nodes[a])
+    out = []
+    for axis, along in zip(TRANSLATIONS, arm, strict=True):
+        rows = [site.dofs.get(f"{n}:{axis}") for n in (a, b)]
+        if rows[0] is None or rows[1] is None or abs(along) > 0.1 * length:
+            continue
+        tied = float(rows[0] @ site.mass @ rows[1])
+        if tied > 1e-6 * float(rows[0] @ site.mass @ rows[0]):
+            out.append(tied / length * 70 / 9)
+    return out
 
 
 def in_line(site: Site) -> bool:

@@ -20,6 +20,7 @@ from labnnum.mechanisms.base import (
     Term,
     scalar_term,
 )
+from labnnum.mechanisms.changes import Freed
 from labnnum.mechanisms.geometry import dof_rows
 from labnnum.mechanisms.laws import Release, Spring
 from labnnum.parameters import Parameter
@@ -86,13 +87,14 @@ def _term(
     turning = [held.axes[i] in ROTATIONS for i in pick]
     units = tuple("rad/(N*m)" if turn else "m/N" for turn in turning)
     names = tuple("compliance_turn" if turn else "compliance" for turn in turning)
-    names, units = (*names, "loss_factor"), (*units, "1")
     own = np.ix_(pick, pick)
     law = Release(held.stiffness[own], held.mass[own], names, units)
     scale = np.array([scales[i] for i in pick])
-    own_parameters = [Parameter(n, 0.0, 0.0, 300.0 * x, u) for n, x, u in zip(names[:-1], scale, units, strict=False)]
-    parameters = (*own_parameters, Parameter("loss_factor", 0.0, 0.0, 0.5, "1"))
-    starts = np.column_stack([sizes * scale, np.full(len(sizes), 0.01)])
+    parameters = tuple(Parameter(n, 0.0, 0.0, 300.0 * x, u) for n, x, u in zip(names, scale, units, strict=True))
     group = Group(law, held.load[:, pick], 0, held.gain, held.static[:, pick], held.own_load[pick])
     variant = " and ".join(held.axes[i] for i in pick)
-    return Term(mechanism, place, parameters, starts, (group,), variant)
+    change = Freed(law, held.static[:, pick], held.load[:, pick], held.own_load[pick], held.gain)
+    sought = Term(mechanism, place, parameters, sizes * scale, (group,), variant)
+    sought.data["fitted"] = Term(mechanism, place, parameters, sizes * scale, (), variant, {"change": change})
+    sought.data["fitted"].data["sought"] = sought
+    return sought

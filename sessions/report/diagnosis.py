@@ -197,8 +197,8 @@ def stiffness_section(d: Diagnosis) -> Section | None:
 
 def _acting(d: Diagnosis) -> tuple[Term, Named | None] | None:
     for n in d.named:
-        if n.term.groups:
-            return n.term, n
+        if n.term.sought.groups:
+            return n.term.sought, n
     if d.verdict == "unexplained" and d.place is not None:
         for t in d.detail["general"]:
             if t.place == d.place and t.groups:

@@ -171,3 +171,19 @@ def test_a_candidate_that_was_fitted_after_its_stage_has_a_share_too():
     stage = [candidate("added-mass", 10.0), candidate("local-dashpot", 12.0)]
     assert _confidence(stage, stage[0]) == pytest.approx(1 / (1 + np.exp(-1)))
     assert _confidence(stage, candidate("joint-stiffness", 8.0)) == pytest.approx(1 / (1 + np.exp(-1) + np.exp(-2)))
+
+
+def test_a_spring_that_lost_half_is_found_from_where_another_name_stood(tmp_path):
+    """The base bends so far that an appendage comes first; the spring, second, explains all without it."""
+    truth, content = diagnosed(tmp_path, 43, "chain", "joint-stiffness", 0.87, excitation="hammer")
+    assert content["mechanism"]["id"] == "joint-stiffness"
+    assert not content["further"]
+    assert same_place(content["place"], truth["faults"][0])
+    (stated,) = content["mechanism"]["parameters"].values()
+    assert stated["value"] == pytest.approx(truth["faults"][0]["parameters"]["relative_change"]["value"], rel=0.02)
+
+
+def test_two_faults_are_both_named(tmp_path):
+    truth, content = diagnosed(tmp_path, 45, "free-beam", ("added-mass", "channel-gain"), (0.8, 0.8))
+    names = {content["mechanism"]["id"], *(f["mechanism"]["id"] for f in content["further"])}
+    assert names == {f["mechanism"] for f in truth["faults"]} == {"added-mass", "channel-gain"}

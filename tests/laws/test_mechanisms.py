@@ -119,6 +119,10 @@ def test_extended_structure_is_the_same_physics(cantilever):
             ours = engine.state(engine.theta0, [(term.whole, p)]).omega / (2 * np.pi)
             np.testing.assert_allclose(ours, modes(extended, extended.nominal).frequency, rtol=1e-7)
             continue
+        if term.fitted is not term:
+            changed = engine.state(engine.theta0, [(term.fitted.whole, p)]).omega / (2 * np.pi)
+            exact = modes(extended, extended.nominal).frequency[: changed.size]
+            np.testing.assert_allclose(changed, exact, rtol=2e-5)  # a mass of 1e-9 stands for one that a model lacks
         theirs, slope = frf_sensitivity(extended, extended.nominal, FREQUENCY, outputs, inputs)
         ours = engine.response(engine.start([term], p), [term], S).value
         np.testing.assert_allclose(
@@ -129,7 +133,8 @@ def test_extended_structure_is_the_same_physics(cantilever):
 
 def test_derivatives_are_exact(cantilever):
     _, _, _, engine = cantilever
-    for term in some_terms(engine):
+    every = some_terms(engine)
+    for term in [*every, *(t.fitted for t in every if t.fitted is not t)]:
         point = replace(engine.start([term], values_of(term)), law=np.array([0.4]))
         made = engine.response(point, [term], S, jacobian=True)
         x = point.vector()
@@ -229,3 +234,64 @@ def test_shear_and_rotary_inertia_make_a_timoshenko_beam(tmp_path):
     bare = modes(slender, slender.nominal).frequency[:4]
     assert np.abs(bare / exact - 1).max() > 0.1
     np.testing.assert_allclose(ours, exact, rtol=6e-3)
+
+
+CLAMPED = """
+[structure]
+kind = "beam"
+length = 0.4
+E = "E"
+rho = 2700.0
+width = 0.03
+height = 0.004
+elements = 8
+{ends}
+[damping]
+kind = "modal"
+ratio = 0.008
+[[parameter]]
+name = "E"
+nominal = 70e9
+lower = 60e9
+upper = 80e9
+std = 3e9
+"""
+
+
+def test_two_clamps_that_give_are_the_beam_on_springs(tmp_path):
+    """Both ends let go at once: the beam on springs in place of its clamps, in the engine and in matrices."""
+    clamps = "".join(f'[[structure.support]]\nnode = "{n}"\n' for n in (1, 9))
+    k, turn = 3e5, 400.0
+    free = "".join(f'[[structure.spring]]\nnode = "{n}"\nstiffness = {k}\nrotational = {turn}\n' for n in (1, 9))
+    held, loose = (parse_model(CLAMPED.format(ends=ends), tmp_path / "model.toml").structure for ends in (clamps, free))
+    role = Channel("f", "force", "reference", "4", "z")
+    engine = Engine(held, [Channel("a", "acceleration", "response", "5", "z")], [role], (60.0, 12000.0))
+    _, terms = all_terms(engine, places_of(engine), CATALOGUE)
+    both = [t for t in terms if t.mechanism.id == "support-compliance" and t.variant == "z and ry"]
+    assert [t.place.id for t in both] == ["1", "9"]
+    p = np.array([1 / k, 1 / turn])
+    theta = np.array([73e9])
+    ours = engine.state(theta, [(t.fitted.whole, p) for t in both]).omega / (2 * np.pi)
+    exact = modes(loose, theta).frequency[: ours.size]
+    np.testing.assert_allclose(ours, exact, rtol=2e-5)
+    extended = extend(held, [entry_of(t, p, [], [role]) for t in both])
+    at = np.array([73e9, *p, *p])
+    np.testing.assert_allclose(modes(extended, at).frequency[: ours.size], exact, rtol=2e-5)
+
+
+def test_thick_elements_are_those_of_timoshenko(tmp_path):
+    """Elements as long as they are high: Euler's with the mechanism are Timoshenko's, mass and all."""
+    text = CLAMPED.replace("height = 0.004", "height = 0.04").format(ends="").replace("rho", "{theory}rho", 1)
+    thin = parse_model(text.format(theory=""), tmp_path / "model.toml").structure
+    thick = parse_model(text.format(theory='theory = "timoshenko"\nnu = 0.3\n'), tmp_path / "model.toml").structure
+    thick = replace(thick, interior=0)
+    role = Channel("f", "force", "reference", "4", "z")
+    engine = Engine(thin, [Channel("a", "acceleration", "response", "5", "z")], [role], (2000.0, 60000.0))
+    _, terms = all_terms(engine, places_of(engine), CATALOGUE)
+    term = next(t for t in terms if t.mechanism.id == "shear-rotary")
+    theta = np.array([66e9])
+    wave = np.sqrt(70e9 / 2700 * 0.04**2 / 12)  # the mechanism's time is over the nominal wave
+    time = 0.04**2 / 12 * (1 + 2.6 * 6 / 5) / (2 * wave)
+    ours = engine.state(theta, [(term.whole, np.array([time]))]).omega / (2 * np.pi)
+    exact = modes(thick, theta).frequency[: ours.size]
+    np.testing.assert_allclose(ours[2:], exact[2:], rtol=1e-6)

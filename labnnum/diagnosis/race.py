@@ -1,0 +1,163 @@
+"""The search for one more term: leads of both scores fitted one after another, the winner tried elsewhere, again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import changes_of
+from labnnum.diagnosis.search import Lead, direction_score, grid_score, shortlist
+from labnnum.diagnosis.task import Candidate, Task, afresh, among, winner_base
+from labnnum.errors import ModelError
+from labnnum.mechanisms.base import Place, Term
+
+
+class Race:
+    """Candidates for one more term, fitted one after another.
+
+    None is given up halfway: on sharp peaks the right one may stand a thousand times above the leader until its last
+    steps.
+    """
+
+    def __init__(self, task: Task, before: Candidate) -> None:
+        self.task, self.before = task, before
+        self.found: list[Candidate] = []
+
+    @property
+    def leader(self) -> Candidate:
+        """The best so far."""
+        return min(self.found, key=lambda c: c.cost)
+
+    def enter(self, lead: Lead, rung: int | None = None, origin: Candidate | None = None) -> None:
+        """Fit of the model before (at `origin`'s point) with the lead's term, down the ladder from `rung`."""
+        task, before = self.task, origin or self.before
+        terms = (*before.terms, lead.term.fitted)
+        old = afresh(task.engine, before) if rung == 0 else before.fit.point
+        x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
+        rung = len(task.ladder) if rung is None else rung
+        try:
+            self.found.append(task.priced(terms, task.down(terms, x, rung)))
+        except ModelError:
+            return  # a start that the model cannot hold, such as a mass below nothing
+
+
+def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> list[Candidate]:
+    """The best candidates with one more term, best first: leads of both scores, fitted, raced, and fitted finely."""
+    engine, scatter = task.engine, task.scatter
+    x = before.fit.point.vector()
+    nominal = afresh(engine, before).vector()
+    fine = shortlist(direction_score(engine, task.coarse, scatter, terms, x, before.terms), width, task.counts)
+    rough = shortlist(grid_score(engine, task.ladder[0], scatter, terms, nominal, before.terms), width, task.counts)
+    middle = grid_score(engine, task.ladder[1], scatter, terms, x, before.terms) if task.counts else []
+    race = Race(task, before)
+    for lead in rough:
+        race.enter(lead, 0)
+    for lead in shortlist(middle, 4, task.counts):
+        race.enter(lead, 1)
+    for lead in (*fine, *(_faint(x) for x in fine[:3])):
+        race.enter(lead)
+    for lead in (x for x in rough[:4] if x.term.n in (1, 2, 3)):
+        for p in lead.others[: lead.term.n + 1]:  # the more parameters, the more starts
+            race.enter(replace(lead, start=p), 0)
+            race.enter(replace(lead, start=p), 2)
+    if race.found:
+        done = {id(c.last) for c in race.found if c.cost < before.cost}
+        _elsewhere(race, terms, done)
+        if task.counts:
+            _otherwise(race, terms)
+            _again(race, terms, done)
+    ahead = among([c for c in race.found if not shadows(engine, c)], ())[: width + 1]
+    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
+
+
+def shadows(engine: Engine, c: Candidate) -> bool:
+    """Whether an added mode sits on one that the structure has: then it mends that peak and is no mode of its own."""
+    if not c.last.data.get("extra_mode"):
+        return False
+    b = engine.band_modes
+    own = engine.state(c.fit.point.theta, changes_of(c.fit)).omega[b] * (1 + c.fit.point.shift) / 2 / np.pi
+    frequency = c.fit.point.terms[c.fit.point.terms.size - c.last.n]
+    return bool(np.any(np.abs(own - frequency) < 0.015 * frequency))
+
+
+def _faint(lead: Lead) -> Lead:
+    """The lead from its faintest start: the fitted errors already align the peaks, and are traded in step by step."""
+    if not lead.term.n:
+        return lead
+    same_way = lead.term.starts[np.sign(lead.term.starts[:, 0]) == np.sign(lead.start[0])]
+    if not same_way.size:
+        return lead
+    start = lead.start.copy()
+    start[0] = same_way[np.argmin(np.abs(same_way[:, 0])), 0]
+    return Lead(lead.term, start, lead.gain)
+
+
+def _otherwise(race: Race, terms: Sequence[Term], n: int = 4) -> None:
+    """The leader's mechanism in its other variants at the same place, such as both compliances of a clamp at once."""
+    task, before, last = race.task, race.before, race.leader.last
+    kin = [t for t in terms if t.mechanism.id == last.mechanism.id and t.place == last.place and t.fitted is not last]
+    if not kin:
+        return
+    nominal = afresh(task.engine, before).vector()
+    leads = grid_score(task.engine, task.ladder[0], task.scatter, kin, nominal, before.terms)
+    for lead in sorted(leads, key=lambda lead: -lead.gain)[:n]:
+        for p in (lead.start, *lead.others):
+            race.enter(replace(lead, start=p), 0)
+            if lead.term.n > 1:
+                race.enter(replace(lead, start=p), 2)
+
+
+def _elsewhere(race: Race, terms: Sequence[Term], done: set[int], n: int = 4) -> None:
+    """The leader's mechanism at the places where it was not tried, from the leader's parameters: its true rivals."""
+    task, before, winner = race.task, race.before, race.leader
+    kin = [
+        t
+        for t in terms
+        if t.mechanism.id == winner.last.mechanism.id and id(t.fitted) not in done and t.n == winner.last.n
+    ]
+    if not kin or not winner.last.n:
+        return
+    p = winner.fit.point.terms[-winner.last.n :]
+    sized = []
+    for t in kin:
+        scale = t.parameters[0].upper / winner.last.parameters[0].upper if np.isfinite(t.parameters[0].upper) else 1.0
+        starts = np.array([[f * scale * p[0], *p[1:]] for f in (0.25, 0.5, 1.0, 2.0)] + [[p[0], *p[1:]]])
+        low, high = [q.lower for q in t.parameters], [q.upper for q in t.parameters]
+        sized.append(replace(t, starts=np.clip(starts, low, high)))
+    origin = winner_base(before, winner)
+    x = origin.fit.point.vector()
+    own = {(str(t.place), t.variant): t for t in kin}
+    for lead in shortlist(grid_score(task.engine, task.coarse, task.scatter, sized, x, before.terms), n):
+        race.enter(Lead(own[str(lead.term.place), lead.term.variant], lead.start, lead.gain), None, origin)
+
+
+def _again(race: Race, terms: Sequence[Term], done: set[int], n: int = 5) -> None:
+    """Every other term scored anew where the leader has put the parameters; at its own place, whatever was tried."""
+    task, before, winner = race.task, race.before, race.leader
+    origin = winner_base(before, winner)
+    others = [t for t in terms if t.fitted is not winner.last]
+    leads = grid_score(task.engine, task.ladder[1], task.scatter, others, origin.fit.point.vector(), before.terms)
+    leads = one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))
+    here = [lead for lead in leads if lead.term.place.touches(winner.last.place)][:n]
+    away = [lead for lead in leads if lead not in here and id(lead.term.fitted) not in done][: n - 1]
+    for lead in (*here, *away):
+        race.enter(lead, 2, origin)
+    for lead in (x for x in here if x.term.n > 1):
+        for p in lead.others:
+            race.enter(replace(lead, start=p), 2, origin)
+            race.enter(replace(lead, start=p), None, origin)
+
+
+def one_each(leads: Sequence[Lead]) -> list[Lead]:
+    """The best lead of each mechanism and place."""
+    seen: set[tuple[str, Place]] = set()
+    out = []
+    for lead in leads:
+        key = (lead.term.mechanism.id, lead.term.place)
+        if key not in seen:
+            seen.add(key)
+            out.append(lead)
+    return out

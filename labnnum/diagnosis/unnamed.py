@@ -1,0 +1,84 @@
+"""Laws without a name beside the catalogue: found, fitted, and asked for the names that their places suggest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from labnnum.diagnosis.fit import Data
+from labnnum.diagnosis.race import Race, one_each, shadows, stage_of
+from labnnum.diagnosis.search import grid_score, subspace_score
+from labnnum.diagnosis.task import Candidate, Task, afresh, among, settled, winner_base
+from labnnum.diagnosis.verdict import Limits
+from labnnum.mechanisms.base import Term
+
+
+def unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candidate) -> list[Candidate]:
+    """The best unnamed laws, best first: smooth local ones, loose ones, and pairs where nothing else is enough."""
+    plain = replace(task, counts={})
+    single, pairs = ([t for t in general if t.width == k] for k in (1, 2))
+    found = stage_of(plain, single, base, 4)[:2]
+    found += _loosened(plain, [t for t in general if t.width == 0], base)
+
+    def enough() -> bool:
+        best = min([*found, named], key=lambda c: c.cost)
+        return settled(best.fit, task.data, task.limits)
+
+    if not enough():
+        found += _surveyed(plain, single, base, 2)
+    if pairs and not enough():
+        found += [*_surveyed(plain, pairs, base), *stage_of(plain, pairs, base, 4)[:2]]
+    return sorted(found, key=lambda c: c.cost)
+
+
+def _surveyed(task: Task, laws: Sequence[Term], base: Candidate, each: int = 3, n: int = 2) -> list[Candidate]:
+    """Laws of many coefficients, best first: those whose coefficients together promise most, rung by rung, fitted."""
+    x = base.fit.point.vector()
+    nominal = afresh(task.engine, base).vector()
+    levels = [(0, task.ladder[0], nominal), (1, task.ladder[1], x), (2, task.ladder[2], x), (None, task.coarse, x)]
+    race = Race(task, base)
+    for rung, level, at in levels:
+        leads = subspace_score(task.engine, level, task.scatter, laws, at, base.terms)
+        for lead in sorted(leads, key=lambda lead: -lead.gain)[:each]:
+            race.enter(lead, rung)
+    ahead = among(race.found, ())[:n]
+    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
+
+
+def _loosened(task: Task, loose: Sequence[Term], base: Candidate, n: int = 2) -> list[Candidate]:
+    """Terms without parameters, each fitted from the base and afresh: the base may have bent to what they excuse."""
+    found = []
+    nominal = afresh(task.engine, base).vector()
+    for term in loose:
+        terms = (*base.terms, term)
+        made = [task.down(terms, base.fit.point.vector(), len(task.ladder)), task.down(terms, nominal)]
+        found.append(task.priced(terms, min(made, key=lambda f: f.objective)))
+    best = sorted(found, key=lambda c: c.cost)[:n]
+    return [task.priced(c.terms, task.refined(c.fit)) for c in best]
+
+
+def told_by(task: Task, terms: Sequence[Term], before: Candidate, law: Candidate) -> list[Candidate]:
+    """Named terms at the nodes of an unnamed law, fitted from where the law has put the parameters.
+
+    On sharp peaks a name may not find the way there by itself; what the law took for its dynamic stiffness shows it.
+    """
+    nodes = {law.last.place.id, law.last.place.to} - {None}
+    here = [t for t in terms if nodes & {t.place.id, t.place.to} and law.last.groups and t.groups]
+    if not here:
+        return []
+    race, origin = Race(task, before), winner_base(before, law)
+    x = origin.fit.point.vector()
+    for level in (task.coarse, task.ladder[2]):
+        leads = grid_score(task.engine, level, task.scatter, here, x, before.terms)
+        for lead in one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))[:5]:
+            for p in (lead.start, *lead.others[:1]):
+                race.enter(replace(lead, start=p), None if level is task.coarse else 2, origin)
+    ahead = sorted(race.found, key=lambda c: c.cost)[:3]
+    return [task.priced(c.terms, task.refined(c.fit)) for c in ahead if not shadows(task.engine, c)]
+
+
+def told_all(law: Candidate | None, chain: Sequence[Candidate], data: Data, limits: Limits) -> bool:
+    """Whether one unnamed law explains all and the best name does not."""
+    if law is None or len(chain) != 2:
+        return False
+    return settled(law.fit, data, limits) and not settled(chain[-1].fit, data, limits)
