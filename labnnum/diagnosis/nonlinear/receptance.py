@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.frf import MOTION_ORDER
+from labnnum.structures.modal import ModalStructure
 
 RIGID = 0.05
 """Frequency, in units of the lowest line's, below which a mode is that of a rigid body."""
@@ -45,12 +46,22 @@ class Receptance:
     out: NDArray
     load: NDArray
     lines: NDArray
+    reach: float
+    """Modes up to this many times the highest excited line are marched; the others follow at once."""
     marches: dict[float, Any] = field(default_factory=dict)
     """What was prepared to march it, by the length of the step."""
 
     def index(self, lines: NDArray) -> NDArray[np.int64]:
         """Where given lines stand among those of the sensors."""
         return np.searchsorted(self.lines, lines)
+
+
+MARCHED = 2.8
+"""Of a model: twice the highest line that is kept, so that what the others do beyond their flexibility stays a small
+correction there."""
+
+IDENTIFIED = 1.4
+"""Of a model that was identified: its mode above the band stands for all that lie there."""
 
 
 class Base:
@@ -154,8 +165,9 @@ class Base:
         if e.is_base:
             plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)[:, self.lines]
         rest = self.high_w @ self.high_w.T
+        reach = IDENTIFIED if isinstance(e.structure, ModalStructure) else MARCHED
         return Receptance(
-            self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines
+            self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines, reach
         )  # fmt: skip
 
     # ---------------------------------------------------------------- derivatives

@@ -27,11 +27,6 @@ PASSES = (4, 2)
 """Marches over a run that does not close, at most, from nothing and from a neighbour: each corrects the one before."""
 
 
-MARCHED = 2.8
-"""Modes up to this many times the highest excited line are marched: twice the highest line that is kept, so that what
-the others do beyond their flexibility stays a small correction there."""
-
-
 SINGULAR = 1e-9
 """Singular value of the closing gap, of the largest, below which a motion is one that no force brings back."""
 
@@ -99,7 +94,7 @@ class Steady:
         return r.marches[self.step]
 
     def _prepare(self, r: Receptance) -> _Prepared:
-        slow = np.flatnonzero(r.omega < MARCHED * np.abs(r.s[self.top]))  # faster ones follow at once, exactly by lines
+        slow = np.flatnonzero(r.omega < r.reach * np.abs(r.s[self.top]))  # faster ones follow at once, exactly by lines
         fast = np.setdiff1d(np.arange(r.omega.size), slow)
         omega, zeta, w = r.omega[slow], r.zeta[slow], np.ascontiguousarray(r.w[:, slow])
         rest = r.rest + (r.w[:, fast] / r.omega[fast] ** 2) @ r.w[:, fast].T
