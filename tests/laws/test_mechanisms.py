@@ -236,26 +236,9 @@ def test_shear_and_rotary_inertia_make_a_timoshenko_beam(tmp_path):
     np.testing.assert_allclose(ours, exact, rtol=6e-3)
 
 
-CLAMPED = """
-[structure]
-kind = "beam"
-length = 0.4
-E = "E"
-rho = 2700.0
-width = 0.03
-height = 0.004
-elements = 8
-{ends}
-[damping]
-kind = "modal"
-ratio = 0.008
-[[parameter]]
-name = "E"
-nominal = 70e9
-lower = 60e9
-upper = 80e9
-std = 3e9
-"""
+CLAMPED = BEAM.replace('{base}\n[[structure.support]]\nnode = "1"\n', "{ends}\n").replace(
+    "elements = 6", "elements = 8"
+)
 
 
 def test_two_clamps_that_give_are_the_beam_on_springs(tmp_path):
