@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
 from labnnum.diagnosis.observe import Observation
-from labnnum.diagnosis.task import Candidate, Selection, choose_lines, data_of, dispersion, settled
-from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
-from labnnum.diagnosis.words import next_experiment, summarise
-from labnnum.frf import Frf
-from labnnum.mechanisms.base import Place, Term
-
-if TYPE_CHECKING:
-    pass
 from labnnum.diagnosis.prediction import errors_of, foretold, predicted, relative_error, trimmed
 from labnnum.diagnosis.runs import nonlinear_signs
 from labnnum.diagnosis.scale import with_scale
+from labnnum.diagnosis.task import Candidate, Selection, choose_lines, data_of, dispersion, settled
+from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
+from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.diagnosis.worth import Judge, alarmed, improves, missing, one_law, spoilt, worthwhile
+from labnnum.frf import Frf
+from labnnum.mechanisms.base import Place, Term
 
 
 def same_answer(a: Term, b: Term) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +14,6 @@ from labnnum.diagnosis.search import broaden
 from labnnum.diagnosis.task import choose_lines, data_of
 from labnnum.frf import MOTION_ORDER, Frf
 from labnnum.mechanisms.base import Term
-
-if TYPE_CHECKING:
-    pass
-
 
 NODAL = 0.3
 """A response smaller than this part of what like sensors read is one beside a node: its error counts as theirs."""

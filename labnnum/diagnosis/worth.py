@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.prediction import errors_of, trimmed
 from labnnum.diagnosis.task import Candidate, Selection, dispersion, settled
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
-
-if TYPE_CHECKING:
-    pass
-from labnnum.diagnosis.prediction import errors_of, trimmed
 
 
 def improves(
