@@ -12,6 +12,12 @@ from labnnum.errors import ConfigError, FileError
 
 SUFFIX = ".diagnosis.toml"
 
+COMPUTED = {"common", "rows"}
+"""Fields that a diagnosis finds by itself."""
+
+RETIRED = {"plain"}
+"""Keys that files written earlier hold and nothing reads any more."""
+
 
 def limits_path(rig: str | Path) -> Path:
     """Where the limits of a rig are kept: rig.toml -> rig.diagnosis.toml; a file of limits is itself."""
@@ -42,7 +48,8 @@ def read_limits(rig: str | Path) -> tuple[Scatter, Limits]:
 
 
 def _build(path: Path, kind: type, table: dict[str, Any]) -> Any:
-    known = {f.name for f in fields(kind)}
+    known = {f.name for f in fields(kind)} - COMPUTED
+    table = {k: v for k, v in table.items() if k not in RETIRED}
     for key, value in table.items():
         if key not in known:
             raise ConfigError(f"{path}: key {key!r} is unknown; there are {', '.join(sorted(known))}")
@@ -55,7 +62,7 @@ def write_limits(rig: str | Path, scatter: Scatter, limits: Limits, note: str) -
     """Store scatter and limits beside the rig; the path."""
     path = limits_path(rig)
     lines = [f"# {note}", "", "[scatter]"]
-    lines += [f"{k} = {v!r}" for k, v in asdict(scatter).items()]
+    lines += [f"{k} = {v!r}" for k, v in asdict(scatter).items() if k not in COMPUTED]
     lines += ["", "[limits]", *(f"{k} = {v!r}" for k, v in asdict(limits).items())]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

@@ -13,7 +13,7 @@ from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.prediction import errors_of, foretold, predicted, relative_error, trimmed
 from labnnum.diagnosis.runs import nonlinear_signs
 from labnnum.diagnosis.scale import with_scale
-from labnnum.diagnosis.task import Candidate, Selection, choose_lines, data_of, dispersion, settled
+from labnnum.diagnosis.task import Candidate, Selection, choose_lines, dispersion, settled
 from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.diagnosis.worth import Judge, alarmed, improves, missing, one_law, spoilt, worthwhile
@@ -45,12 +45,12 @@ def decide(
     """
     base = selection.chain[0]
     stage = selection.stages[0] if selection.stages else ()
-    data = data_of(choose_lines(train), scatter)
+    data, sharp = selection.data, selection.scatter
     lines = choose_lines(train, 400)  # here every peak must be met, whatever the number of rows
     measured = all(o.kind != "frf" for o in observations)
     plain_base = trimmed(engine, lines, base.fit, scatter)
     base_error = errors_of(engine, plain_base, train, test)
-    selection = alarmed(selection, limits, data, base_error[1])
+    selection = alarmed(selection, limits, data)
     selection, plain_final, extended_error = worthwhile(
         engine,
         lines,
@@ -59,10 +59,10 @@ def decide(
         limits,
         scatter,
         (plain_base, base_error),
-        Judge(lambda made: errors_of(engine, made, train, test), lambda made: foretold(engine, made, test, scatter)),
+        Judge(lambda made: errors_of(engine, made, train, test), lambda made: foretold(engine, made, test, sharp)),
     )
     final = selection.chain[-1]
-    score = (foretold(engine, base.fit, test, scatter), foretold(engine, final.fit, test, scatter))
+    score = (foretold(engine, base.fit, test, sharp), foretold(engine, final.fit, test, sharp))
     verdict, named, reason = _verdict(engine, selection, limits, data, measured, scatter)
     if named and not improves(selection, len(named), limits, data, base_error[1], extended_error[1], score):
         verdict, named, reason = (
@@ -102,7 +102,7 @@ def decide(
     detail = {
         "engine": engine, "data": data, "train": train, "test": test, "base": plain_base,
         "final": plain_final if named else plain_base, "selection": selection, "general": general, "reason": reason,
-        "bayes": source.fit, "base_bayes": base.fit,
+        "bayes": source.fit, "base_bayes": base.fit, "foretold": score,
     }  # fmt: skip
     nonlinear = nonlinear_signs(observations)
     shown = Diagnosis(
@@ -131,7 +131,7 @@ def _verdict(
     stage, best = selection.stages[0], selection.chain[1]
     excess = dispersion(best.fit, data)
     total = (base.fit.objective - min(final.fit.objective, best.fit.objective)) / max(excess, 1.0)
-    lead = _lead(engine, data, scatter, stage, best, limits.name * excess) / excess
+    lead = _lead(engine, data, selection.scatter, stage, best, limits.name * excess) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
         if (best.cost - law.cost) / max(excess, 1.0) > max(

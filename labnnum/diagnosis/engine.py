@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.affine import affine
 from labnnum.diagnosis.evaluation import Evaluation
+from labnnum.diagnosis.irregular import Irregular
 from labnnum.diagnosis.point import Point, Response, State
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
@@ -325,6 +326,11 @@ class Engine:
         )  # fmt: skip
         return replace(site, mesh=self.structure.elements or touching(site))
 
+    @cached_property
+    def irregular(self) -> Irregular:
+        """The structure's parts, each of which may differ a little from the model's."""
+        return Irregular.of(self)
+
     # ---------------------------------------------------------------- responses
 
     def imposed(self, support: str, axis: int, point: Point, s: NDArray) -> NDArray[np.complex128]:
@@ -335,10 +341,11 @@ class Engine:
         return ((one.state.sensors @ held.static[:, axis])[:, None] + one.state.out.T @ modal) / s**2
 
     def response(
-        self, point: Point, terms: Sequence[Term], s: NDArray, *, jacobian: bool = False, modal: bool = False
-    ) -> Response:
+        self, point: Point, terms: Sequence[Term], s: NDArray, *, jacobian: bool = False, modal: bool = False,
+        common: NDArray | None = None,
+    ) -> Response:  # fmt: skip
         """FRFs at complex frequencies `s` (n_f,), in each channel's quantity and sign."""
-        return Evaluation(self, point, terms, s).run(jacobian, modal or jacobian)
+        return Evaluation(self, point, terms, s).run(jacobian, modal or jacobian, common)
 
 
 def _mode_derivatives(stiff: NDArray, mass: NDArray, value: NDArray) -> tuple[NDArray, NDArray]:

@@ -112,8 +112,8 @@ class Evaluation:
         slope = (left / np.where(self.e.high_omega > 0, self.e.high_omega, np.inf) ** 2) @ right.T
         return static[:, :, None] - slope[:, :, None] * self.s**2
 
-    def run(self, jacobian: bool, modal: bool) -> Response:
-        """The FRFs, with what else is asked for."""
+    def run(self, jacobian: bool, modal: bool, common: NDArray | None = None) -> Response:
+        """The FRFs, with what else is asked for; `common` are directions of the structure's own irregularity."""
         e, st, s = self.e, self.state, self.s
         x, q = self._bare()
         p_out = st.out[:, :, None] * self.d[:, None, :]  # (m, o, f)
@@ -141,7 +141,12 @@ class Evaluation:
         n = e.rigid_modes
         rigid = _dot(st.out[:n].T, self.d[:n][:, None] * self.load[:n][:, :, None]) if n else None
         others = others * np.abs(st.out[outside]).max(axis=1)[:, None, None]
-        return Response(value, jac, q[b], p_out[b], lift * chain, rest, rigid, others)
+        own = moved = None
+        if common is not None:
+            own, moved = e.irregular.columns(self, q, p_out, common)
+            own = own * (lift * chain)[None]
+            own = own if swap is None else np.stack([swap(c) for c in own])
+        return Response(value, jac, q[b], p_out[b], lift * chain, rest, rigid, others, own, moved)
 
     def ingredients(self, own: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """For the last `own` columns of motion, with the columns before them coupled: x (o, i, f), and the

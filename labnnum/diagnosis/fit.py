@@ -9,7 +9,7 @@ which are marginalised exactly. Missing physics is what they cannot explain at a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -32,7 +32,8 @@ class Scatter:
     relative, of what modes outside the band contribute; `floor`: relative residual that nothing explains;
     `suspension`: relative change of a free structure's rigid-body response at the lowest line; `offset`: what a
     channel's offset leaves of a hit at the lowest line, of its row's median; `cords`: rate at which a free body's
-    motions die out, over its first elastic frequency.
+    motions die out, over its first elastic frequency; `stiffness`, `mass`, `loss`, `zone`: relative, of each
+    element, of each node's mass, of each element's loss, and of the loss of what one parameter scales.
     """
 
     frequency: float = 0.003
@@ -47,6 +48,14 @@ class Scatter:
     suspension: float = 0.1
     offset: float = 0.1
     cords: float = 0.02
+    stiffness: float = 0.01
+    mass: float = 0.02
+    loss: float = 0.1
+    zone: float = 0.4
+    common: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
+    """Directions (n_parts, k) of the structure's own irregularity marginalised (`irregular`); None for none."""
+    rows: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
+    """The floor of each response (n_out, n_in), where they differ; None for `floor` everywhere."""
     trim: float = 0.0
     """Where positive, frequencies and loads are free within so many standard deviations and nothing is marginalised:
     a model as it would be used, trimmed within what a sound one needs."""
@@ -63,8 +72,9 @@ class Data:
     value: NDArray[np.complex128]
     sigma: NDArray[np.float64]
 
-    def with_floor(self, floor: float) -> Data:
-        """The same with a relative error added to `sigma`, of each value and of its row's median."""
+    def with_floor(self, floor: float | NDArray) -> Data:
+        """The same with a relative error, one or (n_out, n_in), added to `sigma`: of values and of rows' medians."""
+        floor = np.asarray(floor, float)[..., None]
         size = np.abs(self.value)
         typical = np.median(size, axis=2, keepdims=True)
         sigma = np.sqrt(self.sigma**2 + (floor * size) ** 2 + (0.3 * floor * typical) ** 2)
@@ -110,6 +120,8 @@ class _Normal:
     gradient: NDArray
     hessian: NDArray
     nuisance: NDArray
+    common: NDArray
+    moved: NDArray
 
 
 LOOSE = 40.0
@@ -252,6 +264,16 @@ class Problem:
             columns = self._loosened(columns, i, r)
         return columns
 
+    def _inputs(self, r: Response) -> NDArray[np.complex128]:
+        """Columns (3 n_in, n_out, n_in, n_f) of each input's gain and phase, an error that all its responses share."""
+        sc, s = self.scatter, self.data.s / np.abs(self.data.s).max()
+        every = [sc.gain * np.ones_like(s), 1j * sc.phase * np.ones_like(s), s * sc.phase]
+        out = np.zeros((len(every) * len(self.engine.inputs), *r.value.shape), complex)
+        for i in range(len(self.engine.inputs)):
+            for k, factor in enumerate(every):
+                out[len(every) * i + k, :, i] = factor * r.value[:, i]
+        return out
+
     def _loosened(self, columns: NDArray, channel: int, r: Response) -> NDArray:
         """The columns with those of one channel's rows widened, and its share of every mode outside the band free."""
         assert r.other_modal is not None
@@ -304,50 +326,113 @@ class Problem:
     def value(self, x: NDArray, like: _Normal) -> float:
         """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
         resp = self.engine.response(self.start.with_vector(x), self.terms, self.data.s)
-        return self._reduce(self._rows(self.data.value - resp.value), like.nuisance)[0] + self._price(x)
+        r = self._rows(self.data.value - resp.value)
+        return self._reduce(r, like.nuisance, like.common, self._shifted(x, like.moved)) + self._price(x)
 
     def marginal(self, x: NDArray) -> float:
         """Whitened squares at `x` with what is marginalised taken off at its price; nothing for `x` itself."""
-        r, b, _ = self._parts(x, jacobian=False)
-        return self._reduce(r, b)[0]
+        r, b, c, _, moved = self._parts(x, jacobian=False)
+        return self._reduce(r, b, c, self._shifted(x, moved)) - self._price_of_offsets(x, moved)
 
     def _price(self, x: NDArray) -> float:
-        return float(np.sum(((x - self.mean) / self.std) ** 2))
+        """Price of what is fitted; of frequency offsets only where no part of the structure explains them."""
+        return float(np.sum(self._prior * (x - self.mean) ** 2))
 
-    def _parts(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray, NDArray, NDArray | None]:
+    @cached_property
+    def _prior(self) -> NDArray[np.float64]:
+        prior = 1.0 / self.std**2
+        if self._common is not None:
+            prior[self._offsets] = 0.0
+        return prior
+
+    @property
+    def _common(self) -> NDArray | None:
+        return None if self.scatter.trim else self.scatter.common
+
+    @property
+    def _offsets(self) -> slice:
+        first = self.start.theta.size + self.start.terms.size
+        return slice(first, first + self.start.shift.size)
+
+    def _shifted(self, x: NDArray, moved: NDArray) -> NDArray:
+        """Gram matrix of the prior of frequency offsets, (k + 1, k + 1): what directions of irregularity move them by,
+        and where they are.
+        """
+        c = np.vstack([-moved, -x[self._offsets]]) / self.std[self._offsets]
+        return c @ c.T if moved.size else np.zeros((1, 1))
+
+    def _parts(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray, NDArray, NDArray, NDArray | None, NDArray]:
+        """Residuals (rows, 2 f), what is marginalised by row and in common (rows, 2 f, n), derivatives to `x`, and by
+        how much what is common moves frequencies (k, m_b).
+        """
         point = self.start.with_vector(x)
-        resp = self.engine.response(point, self.terms, self.data.s, jacobian=jacobian, modal=True)
+        common = self._common
+        resp = self.engine.response(point, self.terms, self.data.s, jacobian=jacobian, modal=True, common=common)
         r = self._rows(self.data.value - resp.value)
         j = None if resp.jacobian is None else self._rows(resp.jacobian)
-        return r, self._nuisance(resp, x), j
+        if resp.common is None or resp.moved is None:
+            return r, self._nuisance(resp, x), np.zeros((*r.shape, 0)), j, np.zeros((0, point.shift.size))
+        shared = np.concatenate([resp.common, self._inputs(resp)])
+        moved = np.vstack([resp.moved, np.zeros((len(shared) - len(resp.moved), point.shift.size))])
+        return r, self._nuisance(resp, x), self._rows(shared), j, moved
 
     @staticmethod
-    def _reduce(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:
-        gram = np.matmul(b.transpose(0, 2, 1), b) + np.eye(b.shape[2])
-        br = np.einsum("rfn,rf->rn", b, r, optimize=True)
-        inner = np.linalg.solve(gram, br[..., None])[..., 0]
-        whole = float(np.sum(r * r))
-        left = whole - float(np.sum(br * inner))
-        if left < 1e-9 * whole:  # a response so large that its own ordinary errors would explain anything
-            left = whole
-        return left, gram, inner
+    def _reduce(r: NDArray, b: NDArray, c: NDArray, shifted: NDArray) -> float:
+        """Whitened squares of `r` and the price of frequency offsets, what is marginalised taken off at its price."""
+        whole = float(np.sum(r * r)) + float(shifted[-1, -1])
+        gram = _by_rows(np.concatenate([b, c, r[..., None]], axis=2), b.shape[2])
+        left = float(_common_out(gram + shifted if c.shape[2] else gram, c.shape[2])[-1, -1])
+        return left if left >= 1e-9 * whole else whole  # so large that its own ordinary errors would explain anything
 
     def normal(self, x: NDArray) -> _Normal:
         """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
-        r, b, j = self._parts(x, jacobian=True)
+        r, b, c, j, moved = self._parts(x, jacobian=True)
         assert j is not None
-        every = np.concatenate([b, j, r[..., None]], axis=2)
-        n = b.shape[2]
-        gram = np.matmul(every.transpose(0, 2, 1), every)
-        across = gram[:, :n, n:]
-        solved = np.linalg.solve(gram[:, :n, :n] + np.eye(n), across)
-        free = (gram[:, n:, n:] - np.matmul(across.transpose(0, 2, 1), solved)).sum(0)
-        whole = float(gram[:, -1, -1].sum())
-        data_part = float(free[-1, -1]) if free[-1, -1] >= 1e-9 * whole else whole
+        k = c.shape[2]
+        gram = _by_rows(np.concatenate([b, c, j, r[..., None]], axis=2), b.shape[2])
+        if k:
+            gram += self._with_offsets(x, moved)
+        free = _common_out(gram, k)
+        whole = float(np.sum(r * r))
+        both = float(free[-1, -1]) if free[-1, -1] >= 1e-9 * whole else whole
         hessian, gradient = free[:-1, :-1], free[:-1, -1]
-        prior = 1.0 / self.std**2
-        gradient = gradient - prior * (x - self.mean)
-        return _Normal(data_part + self._price(x), data_part, self._price(x), gradient, hessian + np.diag(prior), b)
+        gradient = gradient - self._prior * (x - self.mean)
+        asked = self._price_of_offsets(x, moved)
+        price = self._price(x)
+        return _Normal(
+            both + price, both - asked, price + asked, gradient, hessian + np.diag(self._prior), b, c, moved
+        )  # fmt: skip
+
+    def _with_offsets(self, x: NDArray, moved: NDArray) -> NDArray:
+        """The prior of frequency offsets in the normal matrix of [common, x, residual]."""
+        k, m = moved.shape
+        every = np.zeros((m, k + x.size + 1))
+        every[:, :k] = -moved.T
+        every[:, k + self._offsets.start : k + self._offsets.stop] = np.eye(m)
+        every[:, -1] = -x[self._offsets]
+        every /= self.std[self._offsets][:, None]
+        return every.T @ every
+
+    def _price_of_offsets(self, x: NDArray, moved: NDArray) -> float:
+        """Price of the frequency offsets, given what parts of the structure may move them by; data left aside."""
+        if not moved.size:
+            return 0.0
+        return float(_common_out(self._shifted(x, moved), len(moved))[-1, -1])
+
+
+def _by_rows(every: NDArray, n: int) -> NDArray:
+    """Gram matrix of columns (rows, 2 f, n + m), summed over rows; each row's own first n are marginalised."""
+    gram = np.matmul(every.transpose(0, 2, 1), every)
+    across = gram[:, :n, n:]
+    solved = np.linalg.solve(gram[:, :n, :n] + np.eye(n), across)
+    return np.sum(gram[:, n:, n:] - np.matmul(across.transpose(0, 2, 1), solved), axis=0)
+
+
+def _common_out(gram: NDArray, k: int) -> NDArray:
+    """The same with the first k, common to all rows and of deviation one, left out."""
+    if not k:
+        return gram
+    return gram[k:, k:] - gram[:k, k:].T @ np.linalg.solve(gram[:k, :k] + np.eye(k), gram[:k, k:])
 
 
 def fit(

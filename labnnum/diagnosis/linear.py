@@ -14,6 +14,7 @@ from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.race import stage_of
 from labnnum.diagnosis.search import broaden, direction_score, thin
+from labnnum.diagnosis.sharpen import USUAL, sharpened
 from labnnum.diagnosis.task import (
     OFF,
     Candidate,
@@ -26,6 +27,7 @@ from labnnum.diagnosis.task import (
     dispersion,
     settled,
     simplest,
+    winner_base,
     with_terms,
 )
 from labnnum.diagnosis.unnamed import told_all, told_by, unnamed
@@ -70,7 +72,7 @@ LOOSE = Scatter(
 
 def with_noise_found(task: Task, held: Sequence[Term], start: Point) -> Data:
     """The data with `sigma` raised to what the structure's modes leave when they may have any frequency and shape."""
-    made = base_fit(replace(task, scatter=LOOSE), held, start)
+    made = base_fit(replace(task, scatter=LOOSE, wide=LOOSE), held, start)
     return replace(task.data, sigma=task.data.sigma * np.sqrt(max(dispersion(made, task.data), 1.0)))
 
 
@@ -96,18 +98,23 @@ def select(
     width : int
         Leads of each score that get a full fit.
     """
-    data = data_of(choose_lines(frf), scatter)
+    lines = choose_lines(frf)
+    data = data_of(lines, scatter)
     held = tuple(t for t, _ in initial)
     start = engine.start(held, np.concatenate([np.empty(0), *(p for _, p in initial)]))
     ladder = tuple(broaden(engine, data, start, held, k) for k in LADDER)
     counts = Counter(t.mechanism.id for t in terms)
-    task = Task(engine, data, thin(data, data.s.size * 2 // 5), ladder, scatter, limits, counts)
+    coarse = thin(data, data.s.size * 2 // 5)
+    task = Task(engine, data, coarse, (*ladder, coarse), scatter, scatter, limits, counts)
     if not measured_noise:
         progress("estimating the noise")
         data = with_noise_found(task, held, start)
         task = replace(task, data=data, coarse=thin(data, data.s.size * 2 // 5))
     progress("fitting the model as it is")
     base = base_fit(task, held, start)
+    given, task = data, sharper(task, lines, data, base, measured=measured_noise, explained=False)
+    data = task.data
+    base = fit(engine, data, held, task.scatter, base.point.vector(), steps=40)
     chain = [Candidate(held, base, base.objective)]
     stages: list[tuple[Candidate, ...]] = []
     law: Candidate | None = None
@@ -136,7 +143,15 @@ def select(
             law = laws[0] if laws else None
             if law is not None and found[0].cost - law.cost > limits.name:
                 found = among(found, told_by(task, left, chain[0], law))
-                stages[-1] = tuple(found)
+            task = sharper(task, lines, given, min([*found, *laws], key=lambda c: c.cost).fit, measured=measured_noise)
+            if task.data is not data:
+                data = task.data
+                found, laws = (sorted((_anew(task, c) for c in part), key=lambda c: c.cost) for part in (found, laws))
+                law = laws[0] if laws else None
+                chain = [_anew(task, chain[0])]
+            chain = [_beside(task, chain[0], [*found[:2], *laws[:1]])]
+            base = chain[0].fit
+            stages[-1] = tuple(found)
             for c in [*found, *laws]:
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)
@@ -151,7 +166,35 @@ def select(
     if len(chain) > 2:
         progress("looking again at what came first")
         chain, stages = _revisited(task, terms, chain, stages[: len(chain) - 1], width)
-    return Selection(tuple(chain), tuple(stages), law, gains)
+    return Selection(tuple(chain), tuple(stages), law, gains, task.scatter, task.data)
+
+
+SAME = 0.15
+"""Relative change of every kind of error below which a scatter is left as it is."""
+
+
+def sharper(task: Task, lines: Frf, given: Data, made: Fit, *, measured: bool, explained: bool = True) -> Task:
+    """The task with the ordinary errors that a fit supports; as it is where they are nearly those that it has."""
+    found = sharpened(task.engine, lines, made, task.wide, given, measured=measured, explained=explained)
+    if task.scatter is not task.wide:
+        ratios = [getattr(found, k) / getattr(task.scatter, k) for k in USUAL]
+        if max(abs(np.log(ratios))) < SAME:
+            return task
+    data = data_of(lines, found) if measured else given
+    return replace(task, scatter=found, data=data, coarse=thin(data, data.s.size * 2 // 5))
+
+
+def _beside(task: Task, base: Candidate, found: Sequence[Candidate]) -> Candidate:
+    """The base, fitted also from where its rivals have put everything that it has: none may gain by a better start."""
+    starts = [winner_base(base, c).fit.point for c in found]
+    made = [fit(task.engine, task.data, base.terms, task.scatter, p.vector(), steps=20) for p in starts]
+    best = min([base.fit, *made], key=lambda f: f.objective)
+    return task.priced(base.terms, best)
+
+
+def _anew(task: Task, c: Candidate) -> Candidate:
+    """A candidate fitted to the task's data under its errors."""
+    return task.priced(c.terms, fit(task.engine, task.data, c.terms, task.scatter, c.fit.point.vector(), steps=12))
 
 
 def _in_its_place(task: Task, found: Sequence[Candidate], first: Candidate) -> Candidate | None:

@@ -82,3 +82,7 @@ class Response:
     """(n_out, n_in, n_f): displacement of the rigid-body modes; None where the structure has none."""
     other_modal: NDArray | None = None
     """(m_o, n_in, n_f): response of each mode outside the band, as if it moved by its largest participation."""
+    common: NDArray | None = None
+    """(k, n_out, n_in, n_f): change of the FRFs along each direction of the structure's own irregularity."""
+    moved: NDArray | None = None
+    """(k, m_b): relative changes of the band modes' frequencies along each of them."""

@@ -10,7 +10,7 @@ import numpy as np
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import changes_of
 from labnnum.diagnosis.search import Lead, direction_score, grid_score, shortlist
-from labnnum.diagnosis.task import Candidate, Task, afresh, among, winner_base
+from labnnum.diagnosis.task import Candidate, Task, afresh, among, settled, winner_base
 from labnnum.errors import ModelError
 from labnnum.mechanisms.base import Place, Term
 
@@ -50,8 +50,8 @@ def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -
     x = before.fit.point.vector()
     nominal = afresh(engine, before).vector()
     fine = shortlist(direction_score(engine, task.coarse, scatter, terms, x, before.terms), width, task.counts)
-    rough = shortlist(grid_score(engine, task.ladder[0], scatter, terms, nominal, before.terms), width, task.counts)
-    middle = grid_score(engine, task.ladder[1], scatter, terms, x, before.terms) if task.counts else []
+    rough = shortlist(grid_score(engine, task.ladder[0], task.wide, terms, nominal, before.terms), width, task.counts)
+    middle = grid_score(engine, task.ladder[1], task.wide, terms, x, before.terms) if task.counts else []
     race = Race(task, before)
     for lead in rough:
         race.enter(lead, 0)
@@ -59,7 +59,8 @@ def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -
         race.enter(lead, 1)
     for lead in (*fine, *(_faint(x) for x in fine[:3])):
         race.enter(lead)
-    for lead in (x for x in rough[:4] if x.term.n in (1, 2, 3)):
+    done_with = bool(race.found) and settled(race.leader.fit, task.coarse, task.limits)
+    for lead in () if done_with else (x for x in rough[:4] if x.term.n in (1, 2, 3)):
         for p in lead.others[: lead.term.n + 1]:  # the more parameters, the more starts
             race.enter(replace(lead, start=p), 0)
             race.enter(replace(lead, start=p), 2)
@@ -102,7 +103,7 @@ def _otherwise(race: Race, terms: Sequence[Term], n: int = 4) -> None:
     if not kin:
         return
     nominal = afresh(task.engine, before).vector()
-    leads = grid_score(task.engine, task.ladder[0], task.scatter, kin, nominal, before.terms)
+    leads = grid_score(task.engine, task.ladder[0], task.wide, kin, nominal, before.terms)
     for lead in sorted(leads, key=lambda lead: -lead.gain)[:n]:
         for p in (lead.start, *lead.others):
             race.enter(replace(lead, start=p), 0)
@@ -139,7 +140,7 @@ def _again(race: Race, terms: Sequence[Term], done: set[int], n: int = 5) -> Non
     task, before, winner = race.task, race.before, race.leader
     origin = winner_base(before, winner)
     others = [t for t in terms if t.fitted is not winner.last]
-    leads = grid_score(task.engine, task.ladder[1], task.scatter, others, origin.fit.point.vector(), before.terms)
+    leads = grid_score(task.engine, task.ladder[1], task.wide, others, origin.fit.point.vector(), before.terms)
     leads = one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))
     here = [lead for lead in leads if lead.term.place.touches(winner.last.place)][:n]
     away = [lead for lead in leads if lead not in here and id(lead.term.fitted) not in done][: n - 1]

@@ -48,19 +48,23 @@ class Profile:
     def __init__(self, engine: Engine, data: Data, scatter: Scatter, x: NDArray, terms: Sequence[Term] = ()) -> None:
         self.problem = Problem(engine, data, terms, scatter)
         self.x = x
-        r, b, j = self.problem._parts(x, jacobian=True)
-        assert j is not None
+        r, b, c, own, moved = self.problem._parts(x, jacobian=True)
+        assert own is not None
+        j = np.concatenate([c, own], axis=2)
+        k = c.shape[2]
         gram = np.matmul(b.transpose(0, 2, 1), b) + np.eye(b.shape[2])
         self.u = np.matmul(b, _inverse_root(gram))  # rows, 2f, nb
         self.j = j - np.matmul(self.u, np.matmul(self.u.transpose(0, 2, 1), j))
-        prior = 1.0 / self.problem.std**2
-        a = np.matmul(j.transpose(0, 2, 1), self.j).sum(0) + np.diag(prior)
-        scale = self.problem.scale(a)
+        prior = self.problem._prior
+        offsets = self.problem._with_offsets(x, moved) if k else np.zeros((x.size + 1, x.size + 1))
+        a = np.matmul(j.transpose(0, 2, 1), self.j).sum(0) + np.diag(np.concatenate([np.ones(k), prior]))
+        a += offsets[:-1, :-1]
+        scale = np.concatenate([np.sqrt(np.diag(a)[:k]), self.problem.scale(a[k:, k:])])
         self.scale = scale
         self.a_inverse = np.linalg.inv(a / np.outer(scale, scale) + 1e-12 * np.eye(scale.size))
-        self.pull = -prior * (x - self.problem.mean)
+        self.pull = np.concatenate([np.zeros(k), -prior * (x - self.problem.mean)]) + offsets[:-1, -1]
         self.r = r
-        self.constant = float(np.sum(prior * (x - self.problem.mean) ** 2))
+        self.constant = float(np.sum(prior * (x - self.problem.mean) ** 2) + offsets[-1, -1])
 
     def rows(self, value: NDArray) -> NDArray[np.float64]:
         """Complex (n, o, i, f) to whitened real (rows, n, 2 f)."""

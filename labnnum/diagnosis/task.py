@@ -43,6 +43,12 @@ class Selection:
     gains: dict[Place, float]
     """Place -> the most that any term there removed from the base's objective, fitted or scored."""
 
+    scatter: Scatter
+    """The ordinary errors that the data support (`sharpen`)."""
+
+    data: Data
+    """What the last fits were fitted to."""
+
 
 QUIET = 0.25
 """Least dispersion that is believed: smaller residuals may be luck, larger ones are taken as they are."""
@@ -83,7 +89,8 @@ def data_of(frf: Frf, scatter: Scatter) -> Data:
     assert frf.variance is not None
     decay = float(frf.settings.get("window_decay", 0.0))
     s = np.asarray(decay + 1j * frf.omega, complex)
-    return Data(s, frf.value, np.sqrt(frf.variance)).with_floor(scatter.floor)
+    alike = scatter.rows is not None and scatter.rows.shape == frf.value.shape[:2]
+    return Data(s, frf.value, np.sqrt(frf.variance)).with_floor(scatter.rows if alike else scatter.floor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +102,9 @@ class Task:
     coarse: Data
     ladder: tuple[Data, ...]
     scatter: Scatter
+    """The ordinary errors that the data support."""
+    wide: Scatter
+    """The largest ones, on the broadened data, which are rough themselves."""
     limits: Limits
     counts: Mapping[str, int] = field(default_factory=dict)
     """How many terms each mechanism has: a name that may act in many places matches by chance more often."""
@@ -103,8 +113,12 @@ class Task:
         """Fit the broadened data from rung `first` to the finest, then the thinned lines."""
         rough = x
         for level in self.ladder[first:]:
-            rough = fit(self.engine, level, terms, self.scatter, rough, steps=8, tolerance=1.0).point.vector()
+            rough = fit(self.engine, level, terms, self.wide, rough, steps=8, tolerance=1.0).point.vector()
         return fit(self.engine, self.coarse, terms, self.scatter, rough, steps=20 if terms else 40)
+
+    def errors_on(self, level: Data) -> Scatter:
+        """The ordinary errors that go with the lines themselves, or with one of the broadened data."""
+        return self.scatter if level is self.coarse or level is self.data else self.wide
 
     def refined(self, made: Fit, steps: int = 12) -> Fit:
         """A fit to the thinned lines carried on to all lines."""

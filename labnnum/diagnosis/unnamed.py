@@ -38,7 +38,7 @@ def _surveyed(task: Task, laws: Sequence[Term], base: Candidate, each: int = 3, 
     levels = [(0, task.ladder[0], nominal), (1, task.ladder[1], x), (2, task.ladder[2], x), (None, task.coarse, x)]
     race = Race(task, base)
     for rung, level, at in levels:
-        leads = subspace_score(task.engine, level, task.scatter, laws, at, base.terms)
+        leads = subspace_score(task.engine, level, task.errors_on(level), laws, at, base.terms)
         for lead in sorted(leads, key=lambda lead: -lead.gain)[:each]:
             race.enter(lead, rung)
     ahead = among(race.found, ())[:n]
@@ -69,7 +69,7 @@ def told_by(task: Task, terms: Sequence[Term], before: Candidate, law: Candidate
     race, origin = Race(task, before), winner_base(before, law)
     x = origin.fit.point.vector()
     for level in (task.coarse, task.ladder[2]):
-        leads = grid_score(task.engine, level, task.scatter, here, x, before.terms)
+        leads = grid_score(task.engine, level, task.errors_on(level), here, x, before.terms)
         for lead in one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))[:5]:
             for p in (lead.start, *lead.others[:1]):
                 race.enter(replace(lead, start=p), None if level is task.coarse else 2, origin)

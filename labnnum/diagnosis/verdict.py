@@ -16,8 +16,6 @@ class Limits:
     """Thresholds on gains of the objective (chi-squares); set on nulls, see `docs/diagnosis.md`.
 
     alarm: gain of the best term above which a sound structure is doubted.
-    plain: where the base's held-out error is below it, the alarm rises by the same factor, since what sound models
-        lack is then a larger part of it.
     name: lead of the best name over the best at another place.
     further: gain of a second or third mechanism.
     parameter: price of one more parameter.
@@ -26,14 +24,14 @@ class Limits:
     improve: part of the base's held-out error that the extended model must fall below for a name; its square for
         two, and so on.
     improve_further: the same for each further mechanism after the one before.
+    foreseen: part of the held-out chi-square to which a further mechanism may bring it instead.
     doubt: the same for "unexplained".
     sound: held-out error that no sound model leaves, unless noise makes a third of it.
     unsettled: chi-square per value of the best explanation above which something is still missing.
     remains: part of the base's objective that is no misfit, however far it stands above the noise.
     """
 
-    alarm: float = 40.0
-    plain: float = 0.04
+    alarm: float = 36.0
     name: float = 8.0
     further: float = 40.0
     parameter: float = 4.0
@@ -41,6 +39,7 @@ class Limits:
     misfit: float = 1.5
     improve: float = 0.6
     improve_further: float = 0.8
+    foreseen: float = 0.9
     doubt: float = 0.75
     remains: float = 5e-5
     sound: float = 0.15

@@ -10,7 +10,7 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
-from labnnum.diagnosis.prediction import errors_of, trimmed
+from labnnum.diagnosis.prediction import errors_of, foretold, trimmed
 from labnnum.diagnosis.task import Candidate, Selection, dispersion, settled
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
@@ -27,16 +27,16 @@ def improves(
     """
     if extended_error <= limits.improve**n * base_error:
         return True
-    if foretells(score, limits.improve_further**n, limits, base_error) and extended_error <= 1.05 * base_error:
+    if foretells(score, n * limits.name) and extended_error <= 1.05 * base_error:
         return True
     base, final = selection.chain[0].fit, selection.chain[-1].fit
     evident = base.objective > limits.misfit * 2 * data.value.size and settled(final, data, limits)
     return evident and extended_error <= 1.05 * base_error
 
 
-def foretells(score: tuple[float, float], part: float, limits: Limits, error: float) -> bool:
-    """Whether the chi-square of held-out data falls to `part` of what it was, and by as much as alarms."""
-    return score[1] <= part * score[0] and score[0] - score[1] >= limits.alarm * max(1.0, limits.plain / error)
+def foretells(score: tuple[float, float], gain: float) -> bool:
+    """Whether the chi-square of held-out data falls by `gain` at least."""
+    return score[0] - score[1] >= gain
 
 
 def one_law(
@@ -58,18 +58,16 @@ def _apart(selection: Selection) -> bool:
     return not any(a.touches(b) for a, b in combinations(places, 2))
 
 
-def alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
-    """The selection without its chain where the first gain is too small for how well the base predicts already.
+def alarmed(selection: Selection, limits: Limits, data: Data) -> Selection:
+    """The selection without its chain where what it gains is what sound structures have.
 
-    What a sound model leaves of the data is smooth, and some mechanism always explains a part of it: that gain is
-    discounted where the base predicts well. What the base had to ask of modal frequencies and loads counts in full.
+    Gains count in what the best model leaves, where that is more than noise.
     """
     if len(selection.chain) < 2:
         return selection
-    base, first = selection.chain[:2]
-    asked = max(base.fit.prior_part - first.fit.prior_part, 0.0)
-    smooth = (base.cost - first.cost - asked) / max(dispersion(first.fit, data), 1.0)
-    enough = smooth / max(1.0, limits.plain / max(error, 1e-9)) + asked >= limits.alarm
+    base = selection.chain[0]
+    best = min(selection.chain[1:], key=lambda c: c.cost)  # of two that need each other the first alone may be worse
+    enough = (base.cost - best.cost) / max(dispersion(best.fit, data), 1.0) >= limits.alarm
     return selection if enough else replace(selection, chain=(base,))
 
 
@@ -108,7 +106,9 @@ def worthwhile(
     stages: tuple[tuple[Candidate, ...], ...] = selection.stages[: max(kept, 1)]
     last = selection.chain[kept]
     while kept and len(stages) > 1:
-        leaner = [_without(engine, data, last, len(before.terms) + i, scatter, stages) for i in range(len(stages))]
+        leaner = [
+            _without(engine, data, last, len(before.terms) + i, selection.scatter, stages) for i in range(len(stages))
+        ]
         used = [trimmed(engine, lines, c.fit, scatter) for c in leaner]
         left = [judge.errors(made) for made in used]
         scores = [judge.score(c.fit) for c in leaner]
@@ -124,7 +124,8 @@ def worthwhile(
 
 def _foreseen(score: tuple[float, float], n: int, limits: Limits, error: tuple[float, float]) -> bool:
     """Whether `n` mechanisms more foretell data held out by that much better, and predict no worse."""
-    return foretells(score, limits.improve_further**n, limits, error[0]) and error[1] <= 1.05 * error[0]
+    nearer = score[1] <= limits.foreseen**n * score[0]
+    return nearer and foretells(score, n * limits.further) and error[1] <= 1.05 * error[0]
 
 
 def _foremost(
@@ -162,7 +163,7 @@ def missing(
     score: tuple[float, float],
 ) -> bool:  # fmt: skip
     """Whether something is missing though it has no name: the base is far off, or some extension predicts better."""
-    if foretells(score, limits.doubt, limits, base_error[1]):
+    if foretells(score, limits.alarm):
         return True
     if measured and selection.chain[0].fit.objective > limits.misfit * 2 * data.value.size:
         return True
@@ -173,6 +174,8 @@ def missing(
         return False
     if not law.last.groups:
         return spoilt(selection, limits, data)
+    if foretells((score[0], foretold(engine, law.fit, test, selection.scatter)), limits.alarm):
+        return True
     return errors_of(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1] < limits.doubt * base_error[1]
 
 

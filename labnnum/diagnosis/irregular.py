@@ -1,0 +1,134 @@
+"""What a sound structure's parts differ by from its model: each element, mass and loss a little its own.
+
+The differences are common to all sensors, so that they have columns of their own beside those of each row
+(`fit.Problem`). A fault is an element that differs by more than elements do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.mechanisms.base import TRANSLATIONS
+from labnnum.mechanisms.geometry import element_stiffness, factors
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.engine import Engine
+    from labnnum.diagnosis.evaluation import Evaluation
+
+
+@dataclass(frozen=True, eq=False)
+class Irregular:
+    """Elements (columns whose squares are their stiffness), masses of nodes, and the parts that parameters scale."""
+
+    elements: NDArray[np.float64]
+    """Columns (n, k) side by side."""
+    starts: NDArray[np.intp]
+    """First column of each element."""
+    masses: NDArray[np.float64]
+    """(n, k): motion of each node, times the root of its mass."""
+    first: NDArray[np.intp]
+    """First column of each node."""
+    zones: tuple[NDArray[np.float64], ...]
+    """Stiffness (n, n) that each parameter scales alone."""
+
+    @classmethod
+    def of(cls, engine: Engine) -> Irregular:
+        """Those of the structure at its nominal parameters."""
+        site = engine.site((), (), engine.structure.supports)
+        n = len(site.mass)
+        found = [element_stiffness(site, a, b) for a, b in site.mesh]
+        columns, starts, at = [], [], 0
+        for one in found:
+            if one is None:
+                continue
+            own = factors(one[1])
+            if not own.size:
+                continue
+            whole = np.zeros((n, own.shape[1]))
+            whole[one[0]] = own
+            columns.append(whole)
+            starts.append(at)
+            at += own.shape[1]
+        masses, first, at = [], [], 0
+        for node in dict.fromkeys(d.split(":")[0] for d in site.dofs):
+            moved = site.rows(node, TRANSLATIONS)
+            weight = np.sqrt(np.maximum(np.einsum("nk,nm,mk->k", moved, site.mass, moved), 0.0))
+            if weight.any():
+                masses.append(moved * weight)
+                first.append(at)
+                at += moved.shape[1]
+        zones = []
+        for p, d in zip(engine.theta0, engine.structure.derivatives(engine.theta0), strict=True):
+            part = p * np.real(d.K)
+            share = np.einsum("nm,nk,km->m", site.shape, part, site.shape) / site.omega**2
+            if not np.any(np.real(d.M)) and share.min() > -1e-6 and share.max() < 1 + 1e-6 and share.max() > 0.02:
+                zones.append(part)
+        empty = np.zeros((n, 0))
+        return cls(
+            np.hstack([empty, *columns]), np.array(starts, int), np.hstack([empty, *masses]), np.array(first, int),
+            tuple(zones) if len(zones) > 1 else (),
+        )  # fmt: skip
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kind of each part, in the order of `columns`: "stiffness", "loss", "mass", "zone"."""
+        counts = {"stiffness": self.starts.size, "loss": self.starts.size, "mass": self.first.size}
+        return [k for k, n in counts.items() for _ in range(n)] + ["zone"] * len(self.zones)
+
+    def couplings(self, one: Evaluation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What each part's size couples of the modes, (n_parts, m, m) in units of the dynamic stiffness (loss factor
+        one for losses, s^2 one for masses), band modes with themselves left out, and how it moves the frequencies of
+        those, relative, (n_parts, m_b): fits hold them as such, since a peak moves further than a line follows it.
+        """
+        st, b = one.state, one.e.band_modes
+        stiff = _squares(self.elements.T @ st.shape, self.starts)
+        heavy = _squares(self.masses.T @ st.shape, self.first)
+        zones = np.array([st.shape.T @ part @ st.shape for part in self.zones]).reshape(-1, *heavy.shape[1:])
+        moved = np.zeros((len(self.kinds), b.size))
+        n = self.starts.size
+        moved[:n] = stiff[:, b, b] / np.maximum(2 * st.omega[b] ** 2, 1e-300) * (st.omega[b] > 0)
+        moved[2 * n : 2 * n + self.first.size] = -heavy[:, b, b] / 2
+        every = np.concatenate([stiff, stiff, heavy, zones])
+        every[:, b, b] = 0.0
+        return every, moved
+
+    def columns(
+        self, one: Evaluation, q: NDArray, p_out: NDArray, common: NDArray
+    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """Displacements (k, o, i, f) that parts add which differ by the directions `common` (n_parts, k), and relative
+        frequency changes (k, m_b) of band modes, which the displacements leave out.
+        """
+        st, s, e = one.state, one.s, one.e
+        h = float(one.point.law[0])
+        middle = float(np.exp(np.mean(np.log(np.maximum(one.omega[e.band_modes], 1e-300)))))
+        loss = 2 * float(np.exp(np.mean(one.point.log_zeta))) * ((1 - h) * s / middle + 1j * h)
+        every, moved = self.couplings(one)
+        kinds = np.array(self.kinds)
+        out = np.zeros((common.shape[1], p_out.shape[1], q.shape[1], s.size), complex)
+        for pick, factor in (
+            (kinds == "stiffness", np.ones_like(s)),
+            ((kinds == "loss") | (kinds == "zone"), loss),
+            (kinds == "mass", s**2),
+        ):
+            if not pick.any():
+                continue
+            mixed = np.tensordot(common[pick].T, every[pick], 1)  # (k, m, m)
+            pushed = np.tensordot(mixed, q, 1)  # (k, m, i, f)
+            out -= np.einsum("mof,kmif->koif", p_out, pushed, optimize=True) * factor
+        if self.first.size and e.is_base:
+            w = self.masses.T @ st.shape
+            carried = np.add.reduceat(w * (self.masses.T @ st.rigid)[:, None], self.first, axis=0)
+            load = common[kinds == "mass"].T @ carried  # (k, m)
+            out -= np.einsum("km,mof->kof", load, p_out, optimize=True)[:, :, None]
+        return out, common.T @ moved
+
+
+def _squares(w: NDArray, starts: NDArray) -> NDArray[np.float64]:
+    """Sum over each part's columns of the squares of w (k, m): (n_parts, m, m)."""
+    if not starts.size:
+        return np.zeros((0, w.shape[1], w.shape[1]))
+    return np.add.reduceat(w[:, :, None] * w[:, None, :], starts, axis=0)
