@@ -16,11 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, rfft
 from scipy.linalg import matrix_balance
 
 from labnnum.diagnosis.nonlinear.march import N_P, march
 from labnnum.diagnosis.nonlinear.receptance import RIGID, Receptance
-from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.run import Run, precise
 from labnnum.errors import EstimationError
 
 PASSES = (4, 2)
@@ -138,6 +139,22 @@ class Steady:
         if self.growth is not None:
             time = time / self.growth.reshape(-1, *(1,) * (time.ndim - 1))
         return np.moveaxis(np.fft.rfft(time, axis=0)[: self.lines] * (2 / self.n), 0, -1)
+
+    def tangents(self, time: NDArray) -> NDArray[np.complex128]:
+        """Tangents (n, k, t) to spectra (t, k, n_lines), in single precision."""
+        if self.growth is not None:
+            time = time / self.growth[:, None, None]
+        rows = np.ascontiguousarray(np.moveaxis(time, 0, -1).swapaxes(0, 1), np.float32)
+        return np.asarray(rfft(rows)[..., : self.lines], complex) * (2 / self.n)
+
+    def pushed(self, push: NDArray, s: NDArray) -> NDArray[np.float64]:
+        """Sources (n, k, 2, t) of tangents whose motions' spectra are (t, k, n_lines)."""
+        full = np.zeros((*push.shape[:2], 2, self.n // 2 + 1), precise(self.run))
+        full[:, :, 0, : self.lines], full[:, :, 1, : self.lines] = push, s * push
+        time = irfft(full) * full.real.dtype.type(self.n / 2)
+        if self.growth is not None:
+            time = time * self.growth
+        return np.ascontiguousarray(np.moveaxis(np.asarray(time), (0, 3), (3, 0)), float)
 
     def source(self, r: Receptance, made: _Prepared, force: NDArray) -> NDArray[np.float64]:
         """Motion (n, k, 2) at the places that the march does not produce itself."""
@@ -273,8 +290,7 @@ class Steady:
             push = dz * (r.gain * self.run.u)
             for c in range(self.k):
                 push = push + dg[:, :, c] * orbit.force[c]
-            ds = np.moveaxis(self.to_time(np.stack([push, r.s * push], axis=2)), (0, 3), (3, 0))
-            ds = np.ascontiguousarray(ds)
+            ds = self.pushed(push, r.s)
         if not self.run.lasting:
             return self._open_slopes(r, p, orbit, base, vary, ds)
         one = self._march(made, source, p, orbit, homogeneous=True, vary=vary, ds=ds)
@@ -293,7 +309,7 @@ class Steady:
             orbit, force=self.to_lines(time), time=time, motion=one.motion, closing=rel, x=x, f=f, memory=memory,
             floquet=phi, inverse=inverse,
         )  # fmt: skip
-        moved = np.moveaxis(self.to_lines(whole), 1, 0)[..., r.lines]
+        moved = self.tangents(whole)[..., r.lines]
         if not exact:
             moved = np.concatenate([self._base_slopes(r, orbit, base), moved])
         return new, Slopes(moved)
@@ -312,7 +328,7 @@ class Steady:
         x, f, memory = _parts(one.state, m, self.k)
         change = _relative(one.time - orbit.time, one.time)
         new = Orbit(x, f, memory, self.to_lines(one.time), one.time, one.motion, float(change), one.bad)
-        moved = np.moveaxis(self.to_lines(one.slopes), 1, 0)[..., r.lines]
+        moved = self.tangents(one.slopes)[..., r.lines]
         if ds is None:
             moved = np.concatenate([self._base_slopes(r, new, base), moved])
         return new, Slopes(moved)
