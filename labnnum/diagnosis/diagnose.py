@@ -112,7 +112,16 @@ def diagnose(
     _, general = all_terms(engine, where, UNNAMED if catalogue else ())
     measured = all(o.kind != "frf" for o in observations)
     selection = select(
-        engine, train, terms, general, scatter, limits, measured_noise=measured, initial=initial, beside=beside, progress=progress
+        engine,
+        train,
+        terms,
+        general,
+        scatter,
+        limits,
+        measured_noise=measured,
+        initial=initial,
+        beside=beside,
+        progress=progress,
     )
     progress("weighing the answer")
     gated = (*gate.named, *((moving,) if moving else ()))

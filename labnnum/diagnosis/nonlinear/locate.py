@@ -13,10 +13,10 @@ from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.kernels import weighed
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run, precise
-from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.mechanisms.base import Place
 
 FINE = 2

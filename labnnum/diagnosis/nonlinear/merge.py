@@ -80,7 +80,9 @@ def nonlinear_first(
         return None
     if not found.named and found.reason != KNOWN and found.reason not in FOUND:
         hopeless = found.gained and linear_least(found.study.runs, scatter) > max(limits.misfit, found.misfit)
-        plain = again(observations, held_out, **({"catalogue": ()} if hopeless else {}))  # what one linear mechanism explains needs no law that has no name
+        plain = again(
+            observations, held_out, **({"catalogue": ()} if hopeless else {})
+        )  # what one linear mechanism explains needs no law that has no name
         periodic = all(o.run is not None for o in train)
         small = found.base_error[1] < max(limits.sound, 3 * found.noise)
         sound = plain.verdict in ("consistent", "parameters") and (
