@@ -11,7 +11,16 @@ import numpy as np
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.answer import answer
-from labnnum.diagnosis.nonlinear.decision import FOUND, KNOWN, MISFIT, UNCONFIRMED, USELESS, NonlinearAnswer
+from labnnum.diagnosis.nonlinear.beside import added_to, strained
+from labnnum.diagnosis.nonlinear.decision import (
+    FOUND,
+    KNOWN,
+    MISFIT,
+    NOTHING,
+    UNCONFIRMED,
+    USELESS,
+    NonlinearAnswer,
+)
 from labnnum.diagnosis.nonlinear.detect import CHANGE
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead
@@ -78,6 +87,14 @@ def nonlinear_first(
     found = answer(engine, train, test, places, scatter, limits, band, progress, usable, known, nearly)
     if found is None or found.reason == UNCONFIRMED:
         return None
+    if found.reason == NOTHING and strained(found):
+        progress("searching for linear physics that hides the law")
+        rest = again(found.linearised, found.linearised_held_out)
+        wider = added_to(engine, rest)
+        if wider is not None:
+            second = answer(wider, train, test, places, scatter, limits, band, progress, usable, known, nearly)
+            if second is not None and second.named and second.misfit < found.misfit:
+                found = second
     if not found.named and found.reason != KNOWN and found.reason not in FOUND:
         hopeless = found.gained and linear_least(found.study.runs, scatter) > max(limits.misfit, found.misfit)
         plain = again(
