@@ -48,6 +48,7 @@ def diagnose(
     progress: Callable[[str], None] = lambda text: None,
     nonlinear: bool = True,
     beside: bool = False,
+    depth: int = 3,
 ) -> Diagnosis:
     """Verdict on whether `structure` explains the observations, and if not, what is missing and where.
 
@@ -71,6 +72,8 @@ def diagnose(
         Whether nonlinear signs are looked for (periodic runs), and their law taken out before the linear search.
     beside : bool
         Whether such a law was taken out of these observations: where the model explains the rest, nothing is sought.
+    depth : int
+        Linear mechanisms that are sought, at most.
 
     Returns
     -------

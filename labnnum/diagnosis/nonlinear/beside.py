@@ -11,25 +11,30 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
-from labnnum.diagnosis.nonlinear.explore import STRAINED
+from labnnum.diagnosis.nonlinear.explore import LEAVES, STRAINED
 from labnnum.diagnosis.verdict import Diagnosis
 from labnnum.errors import LabnnumError
 from labnnum.mechanisms.extended import Added, ExtendedStructure
 from labnnum.parameters import Parameter
 
+WORTH = 0.75
+"""Part of what the base alone leaves beside a law to which something linear must bring it down to be tried there."""
+
 
 def strained(found: NonlinearAnswer) -> bool:
     """Whether a law explains most, and the base beside it pays more than a sound one: it stands in for something."""
-    last = found.laws[-1].made
-    return found.gained and bool(found.linearised) and last.prior_part > STRAINED * last.n_base
+    last, base = found.laws[-1].made, found.study.base
+    most = found.misfit < LEAVES * base.data_part / base.count
+    return most and bool(found.linearised) and last.prior_part > STRAINED * last.n_base
 
 
 def added_to(engine: Engine, rest: Diagnosis) -> Engine | None:
     """The engine of the structure with what the linear search found in it, named or not: whether it was that, the law
     decides. None where nothing was found, or something that is no part of a structure.
     """
-    best = rest.detail["selection"].chain[-1]
-    if not best.terms or any(t.mechanism.domain != "linear" for t in best.terms):
+    chain = rest.detail["selection"].chain
+    best = chain[-1]
+    if not best.terms or best.cost > WORTH * chain[0].cost or any(t.mechanism.domain != "linear" for t in best.terms):
         return None
     added, at = [], 0
     for t in best.terms:

@@ -89,7 +89,7 @@ def nonlinear_first(
         return None
     if found.reason == NOTHING and strained(found):
         progress("searching for linear physics that hides the law")
-        rest = again(found.linearised, found.linearised_held_out)
+        rest = again(found.linearised, found.linearised_held_out, depth=1)
         wider = added_to(engine, rest)
         if wider is not None:
             second = answer(wider, train, test, places, scatter, limits, band, progress, usable, known, nearly)
