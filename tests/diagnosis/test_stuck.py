@@ -81,5 +81,5 @@ def test_no_linear_model_explains_what_changes_with_level():
 def test_a_run_of_its_own_says_nothing_of_levels():
     none = np.zeros((3, PERIOD // 2 + 1))
     spectrum = multisine(1.0, 1)
-    run = Run(RATE, PERIOD, spectrum, none + 0j, none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
+    run = Run(RATE, PERIOD, spectrum, none.astype(np.complex128), none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
     assert linear_least([run], Scatter()) == 0.0
