@@ -124,6 +124,7 @@ def diagnose(
         measured_noise=measured,
         initial=initial,
         beside=beside,
+        depth=depth,
         progress=progress,
     )
     progress("weighing the answer")
