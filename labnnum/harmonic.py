@@ -23,7 +23,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.march import CODES, LAWS, along, law
+from labnnum.diagnosis.nonlinear.march import CODES, LAWS, law
+from labnnum.diagnosis.nonlinear.prescribed import along
 from labnnum.errors import EstimationError, ModelError
 
 SAMPLES = 256

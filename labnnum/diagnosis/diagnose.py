@@ -47,6 +47,8 @@ def diagnose(
     catalogue: Sequence[Mechanism] = CATALOGUE,
     progress: Callable[[str], None] = lambda text: None,
     nonlinear: bool = True,
+    beside: bool = False,
+    depth: int = 3,
 ) -> Diagnosis:
     """Verdict on whether `structure` explains the observations, and if not, what is missing and where.
 
@@ -68,6 +70,10 @@ def diagnose(
         Thresholds of the decision.
     nonlinear : bool
         Whether nonlinear signs are looked for (periodic runs), and their law taken out before the linear search.
+    beside : bool
+        Whether such a law was taken out of these observations: where the model explains the rest, nothing is sought.
+    depth : int
+        Linear mechanisms that are sought, at most.
 
     Returns
     -------
@@ -109,7 +115,17 @@ def diagnose(
     _, general = all_terms(engine, where, UNNAMED if catalogue else ())
     measured = all(o.kind != "frf" for o in observations)
     selection = select(
-        engine, train, terms, general, scatter, limits, measured_noise=measured, initial=initial, progress=progress
+        engine,
+        train,
+        terms,
+        general,
+        scatter,
+        limits,
+        measured_noise=measured,
+        initial=initial,
+        beside=beside,
+        depth=depth,
+        progress=progress,
     )
     progress("weighing the answer")
     gated = (*gate.named, *((moving,) if moving else ()))

@@ -79,7 +79,7 @@ def with_noise_found(task: Task, held: Sequence[Term], start: Point) -> Data:
 def select(
     engine: Engine, frf: Frf, terms: Sequence[Term], general: Sequence[Term], scatter: Scatter, limits: Limits,
     *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 8,
-    progress: Callable[[str], None] = lambda text: None,
+    beside: bool = False, progress: Callable[[str], None] = lambda text: None,
 ) -> Selection:  # fmt: skip
     """Add the best term while it pays (`limits`), `depth` at most.
 
@@ -97,6 +97,9 @@ def select(
         Mechanisms that the model holds already.
     width : int
         Leads of each score that get a full fit.
+    beside : bool
+        Whether something was found already, so that a base that explains what is left ends the search as one with a
+        mechanism does.
     """
     lines = choose_lines(frf)
     data = data_of(lines, scatter)
@@ -122,7 +125,7 @@ def select(
     for stage in range(depth):
         left = still_open(terms, chain[-1].terms)
         told = stage > 0 and told_all(law, chain, data, limits)
-        if stage and not told and finished(task, left, chain[-1]):
+        if (stage or beside) and not told and finished(task, left, chain[-1]):
             break
         progress(f"searching the catalogue for mechanism {stage + 1}")
         found = stage_of(task, left, chain[-1], width)

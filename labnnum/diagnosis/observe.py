@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.hits import without_offset
 from labnnum.diagnosis.nonlinear.run import Run, run_of
+from labnnum.diagnosis.rails import Clip, clipping, rails_of
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.frf import Frf
 from labnnum.recording import Recording
@@ -46,15 +47,6 @@ class Observation:
     """Spectra of a periodic run, for the nonlinear diagnosis."""
     recordings: tuple[Recording, ...] = ()
     """What hits or random data were recorded, for the same."""
-
-
-@dataclass(frozen=True, slots=True)
-class Clip:
-    """Runs of samples at the end of a channel's range: share there, where (SI), the excess over chance."""
-
-    share: float
-    level: float
-    score: float
 
 
 def observe(recording: Recording) -> Observation:
@@ -279,7 +271,7 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
         {"window_decay": float(decay), "rate": first.rate, "n_segment": n},
     )  # fmt: skip
     level = float(np.median(np.max(np.abs(x[:, first.inputs[0]]), axis=1)))
-    clipped, peaks = _rails(recordings)
+    clipped, peaks = rails_of(recordings)
     return Observation(
         _heard(frf), level, first.label, "hammer", clipped=clipped, peaks=peaks, recordings=tuple(recordings)
     )  # fmt: skip
@@ -309,30 +301,6 @@ def _levels(hits: Sequence[Recording]) -> list[list[Recording]]:
         else:
             groups.append([r])
     return groups
-
-
-def _rails(recordings: Sequence[Recording]) -> tuple[dict[str, Clip], dict[str, float]]:
-    """Channels that look clipped in any recording, and each channel's largest magnitude."""
-    clipped: dict[str, Clip] = {}
-    peaks: dict[str, float] = {}
-    for r in recordings:
-        for c, x in zip(r.channels, r.data, strict=True):
-            peaks[c.name] = max(peaks.get(c.name, 0.0), float(np.max(np.abs(x))))
-            found = clipping(x) if c.role != "reference" else flat_top(x)
-            if found.score > max(clipped[c.name].score if c.name in clipped else 0.0, 0.0):
-                clipped[c.name] = found
-    return clipped, peaks
-
-
-def flat_top(x: NDArray) -> Clip:
-    """Clipping of a pulse: more than three samples in a row at its very top."""
-    top = float(np.max(np.abs(x)))
-    if top == 0:
-        return Clip(0.0, 0.0, 0.0)
-    at = np.abs(x) > top * (1 - 1e-6)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(int), [0]])))
-    longest = int(np.max(edges[1::2] - edges[::2], initial=0))
-    return Clip(float(at.mean()), top, 10.0 if longest > 3 else 0.0)
 
 
 def _random(recording: Recording) -> Observation:
@@ -422,71 +390,3 @@ def noise_from_smoothness(frequency: NDArray, h: NDArray) -> NDArray[np.float64]
     rough[:, :2], rough[:, -2:] = rough[:, 2:3], rough[:, -3:-2]
     local = np.stack([median_filter(row, min(41, row.size // 2 * 2 - 1), mode="nearest") for row in rough]) / np.log(2)
     return np.maximum(local, (1e-5 * np.abs(h)) ** 2 + 1e-300)
-
-
-# -------------------------------------------------------------------- clipping
-
-
-def clipping(x: NDArray) -> Clip:
-    """Whether samples pile up at both ends of a channel's range, where a signal's distribution thins out.
-
-    The share of samples in the outermost 0.5 % of the range is compared with the share in the 2 % inside it:
-    a signal with tails has fewer further out, a clipped one many more, and stays there for several samples.
-    """
-    top = float(np.max(np.abs(x - np.median(x))))
-    if top == 0 or x.size < 200:
-        return Clip(0.0, 0.0, 0.0)
-    z = (x - np.median(x)) / top
-    worst = Clip(0.0, 0.0, 0.0)
-    for sign in (1.0, -1.0):
-        edge = float(np.max(sign * z))
-        outer = sign * z > edge * 0.995
-        inner = (sign * z > edge * 0.975) & ~outer
-        n_outer, n_inner = int(outer.sum()), int(inner.sum())
-        runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], outer.astype(int), [0]]))))[::2]
-        longest = int(runs.max(initial=0))
-        share = n_outer / x.size
-        if n_outer >= 12 and n_outer > 1.5 * (n_inner + 4) and longest >= 2:
-            score = n_outer / (n_inner + 4)
-            if score > worst.score:
-                worst = Clip(share, edge * top, float(score))
-    return worst
-
-
-# -------------------------------------------------------------------- together
-
-
-def pool(observations: Sequence[Observation]) -> Frf:
-    """One Frf from several runs of the same channels: weighted means on shared lines, all lines together.
-
-    A scatter between runs beyond their noise (remounts, level) is added to the variance.
-    """
-    first = observations[0].frf
-    names = [c.name for c in first.outputs]
-    for o in observations[1:]:
-        if [c.name for c in o.frf.outputs] != names or len(o.frf.inputs) != len(first.inputs):
-            raise ChannelError(f"{o.label}: its channels differ from those of {observations[0].label}")
-    if len(observations) == 1:
-        return first
-    step = np.min(np.concatenate([np.diff(o.frf.frequency) for o in observations])) * 0.25
-    keys = [np.round(o.frf.frequency / step).astype(int) for o in observations]
-    union = np.unique(np.concatenate(keys))
-    shape = (*first.value.shape[:2], union.size)
-    weight, total = np.zeros(shape), np.zeros(shape, complex)
-    square, count = np.zeros(shape), np.zeros(union.size)
-    where = [np.searchsorted(union, k) for k in keys]
-    frequency = np.zeros(union.size)
-    for o, at in zip(observations, where, strict=True):
-        assert o.frf.variance is not None
-        w = 1.0 / np.maximum(o.frf.variance, 1e-300)
-        weight[..., at] += w
-        total[..., at] += w * o.frf.value
-        square[..., at] += w * np.abs(o.frf.value) ** 2
-        count[at] += 1
-        frequency[at] = o.frf.frequency
-    mean = total / weight
-    spread = np.maximum(square / weight - np.abs(mean) ** 2, 0)
-    between = np.where(count > 1, spread / np.maximum(count - 1, 1), 0.0)
-    variance = np.maximum(1.0 / weight, between)
-    return replace(first, frequency=frequency, value=mean, variance=variance, coherence=None, input_spectrum=None,
-                   input_condition=None)  # fmt: skip

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labnnum.diagnosis.observe import Observation, pool
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.pool import pool
 from labnnum.frf import Frf
 
 if TYPE_CHECKING:

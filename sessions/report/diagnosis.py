@@ -18,7 +18,7 @@ from labnnum.diagnosis.prediction import predicted
 from labnnum.diagnosis.verdict import Named
 from labnnum.mechanisms.base import Place, Term
 from sessions.model import Model
-from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, svg
+from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, fixed, svg
 from sessions.report.nonlinear import SHOWN, levels_section, nonlinear_section
 from sessions.report.numbers import percent, with_error
 from sessions.report.page import _template
@@ -170,10 +170,11 @@ def response_figure(d: Diagnosis, o: int) -> str:
             low.semilogy(test.frequency, np.abs(h - test.value[o, 0]) + 1e-300, color=colour, lw=0.9)
         if test.variance is not None:
             low.semilogy(test.frequency, np.sqrt(test.variance[o, 0]), color="#8a949e", lw=0.7)
-        top.legend(ncol=3, fontsize=8)
-        top.set_ylabel("|FRF|")
-        low.set_ylabel("residual")
+        top.legend(ncol=3, fontsize=8, loc="upper right")
         low.set_xlabel("frequency, Hz")
+        for ax, name in ((top, "|FRF|"), (low, "residual")):
+            ax.set_ylabel(name)
+            fixed(ax, -0.09)
         return svg(fig)
 
 

@@ -12,6 +12,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from numpy.typing import NDArray
 
 from labnnum.frf import Frf
@@ -56,6 +57,16 @@ def svg(figure: Figure) -> str:
     body = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", body, count=1)
     body = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", body, count=1)
     return _own_ids(body)
+
+
+def fixed(ax: Axes, left: float) -> None:
+    """Labels at fixed places, the y label at `left` (axes' widths), and no ticks inside a decade of a logarithmic y.
+
+    Looking for where labels do not touch, tick by tick, takes longer than drawing.
+    """
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_label_coords(left, 0.5)
+    ax.xaxis.set_label_coords(0.5, -0.28)
 
 
 def _own_ids(body: str) -> str:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from labnnum.diagnosis import Diagnosis
 from labnnum.diagnosis.nonlinear.decision import KNOWN
 from labnnum.diagnosis.nonlinear.joined import Predicted, levels
-from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, svg
+from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, fixed, svg
 from sessions.report.figures import RASTER_FROM as MANY
 from sessions.report.numbers import percent
 from sessions.report.sections import Section, figure, table
@@ -100,8 +100,12 @@ def levels_figure(
 ) -> str:
     """SVG: FRF and residuals of response `o`, a column a run of `shown`."""
     with matplotlib.rc_context(_STYLE):
-        fig = Figure(figsize=(max(7.5, 2.2 * len(shown)), 3.8), layout="constrained")
-        axes = fig.subplots(2, len(shown), sharex="col", sharey="row", squeeze=False, height_ratios=(3, 2))
+        width = max(7.5, 2.2 * len(shown))
+        fig = Figure(figsize=(width, 3.8))
+        margins = {"left": 0.7 / width, "right": 1 - 0.1 / width, "bottom": 0.12, "top": 0.93, "wspace": 0.08}
+        axes = fig.subplots(
+            2, len(shown), sharex="col", sharey="row", squeeze=False, height_ratios=(3, 2), gridspec_kw=margins
+        )
         for (top, low), i in zip(axes.T, shown, strict=True):
             plain = base[i]
             f, measured = plain.frf()
@@ -114,11 +118,13 @@ def levels_figure(
                 left = np.abs(h - measured[o]) + 1e-300
                 low.semilogy(f, left, color=colour, lw=0.9, rasterized=f.size > MANY)
             held = ", held out" if i >= n_train else ""
-            top.set_title(f"input {plain.run.level:.3g} RMS{held}", fontsize=8)
+            top.set_title(f"input {plain.run.level:.3g} RMS{held}", fontsize=8, y=1.0)
             low.set_xlabel("frequency, Hz")
-        axes[0, 0].legend(fontsize=7)
-        axes[0, 0].set_ylabel("|FRF|")
-        axes[1, 0].set_ylabel("residual")
+            for ax in (top, low):
+                fixed(ax, -0.55 / (width / len(shown)))
+        axes[0, 0].legend(fontsize=7, loc="upper right")
+        for ax, name in zip(axes[:, 0], ("|FRF|", "residual"), strict=True):
+            ax.set_ylabel(name)
         return svg(fig)
 
 

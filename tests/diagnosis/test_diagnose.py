@@ -10,7 +10,8 @@ import pytest
 from labnnum.diagnosis import observe, observe_all
 from labnnum.diagnosis.decide import _confidence
 from labnnum.diagnosis.gates import clipped_channel
-from labnnum.diagnosis.observe import clipping, is_hit, noise_from_smoothness
+from labnnum.diagnosis.observe import is_hit, noise_from_smoothness
+from labnnum.diagnosis.rails import clipping
 from labnnum.errors import InputError
 from labnnum.recording import Channel, Recording
 from sessions.diagnose import diagnose_files

@@ -8,8 +8,9 @@ from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.gates import drifted
 from labnnum.diagnosis.nonlinear.decision import NAMELESS
 from labnnum.diagnosis.nonlinear.laws import SHAPES, TERMS, force_along
-from labnnum.diagnosis.nonlinear.march import N_P, along
+from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.moved import moved
+from labnnum.diagnosis.nonlinear.prescribed import along
 from labnnum.diagnosis.nonlinear.scales import common, powers, scale_std
 from labnnum.diagnosis.observe import Observation
 from labnnum.frf import Frf

@@ -106,14 +106,24 @@ class Bench:
         made = tried_fit(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
         return made or tried_fit(joint, one.made.x, [None] * len(self.runs), one.lead, steps)
 
-    def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int) -> Tried | None:
-        """A law fitted by simulation from what the recovered motion promised, from several base vectors."""
+    def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int, *, soften: bool = True) -> Tried | None:
+        """A law fitted by simulation from what the recovered motion promised, from several base vectors.
+
+        Of a slider one more is tried (`soften`): the first without the spring of what sticks, which it holds already.
+        """
         joint = self.joint([lead])
         begin = [joint.start(x) for x in starts]
-        if lead.mechanism == "stick-slip":
+        if soften and lead.mechanism == "stick-slip":
             begin.append(joint.start(softened(joint, starts[0], lead)))
         made = [tried_fit(joint, x, [None] * len(self.runs), lead, steps) for x in begin]
         return min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
+
+    def law_alone(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
+        """A law fitted by simulation, the base held where `x` has it."""
+        joint = self.joint([lead])
+        begin = joint.start(x)
+        joint.low[: joint.n_base] = joint.high[: joint.n_base] = begin[: joint.n_base]
+        return tried_fit(joint, begin, [None] * len(self.runs), lead, steps, exact=False)
 
     def carry_on(self, one: Tried, steps: int, *, always: bool = False, last: bool = True) -> Tried:
         """A simulated fit carried on, on other lines perhaps; with finer steps where it is the `last`."""
@@ -123,11 +133,12 @@ class Bench:
 
 
 def tried_fit(
-    joint: Joint, x: NDArray, orbits: Sequence, lead: Lead, steps: int, *, simulated: bool = True, always: bool = False
+    joint: Joint, x: NDArray, orbits: Sequence, lead: Lead, steps: int, *, simulated: bool = True, always: bool = False,
+    exact: bool = True,
 ) -> Tried | None:  # fmt: skip
     """The fit of `joint` from `x` as a candidate; None where no steady state is found."""
     try:
-        made = fit(joint, x, orbits, steps=steps, always=always)
+        made = fit(joint, x, orbits, steps=steps, always=always, exact=exact)
     except (EstimationError, np.linalg.LinAlgError):
         return None
     return Tried(lead, made, cost(made, lead.mechanism), simulated)

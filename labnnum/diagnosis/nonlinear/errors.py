@@ -12,8 +12,8 @@ from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
 from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Joint
-from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.diagnosis.nonlinear.suspect import heard
 from labnnum.diagnosis.observe import Observation
 

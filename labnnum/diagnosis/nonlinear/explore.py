@@ -18,6 +18,7 @@ from labnnum.diagnosis.nonlinear.locate import Background, Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.stuck import stuck
 
 LAWS = (
     "cubic-stiffness", "quadratic-stiffness", "quadratic-damping", "coulomb-friction", "one-sided-gap", "clearance",
@@ -99,7 +100,10 @@ def explore(
     best: Prospect | None = None
     for x in rounds:
         found, leads = looked(plain, x, spots, unnamed)
-        near = held(bench, nominal, found) if misled and carry_on and x is nominal else []
+        near: list[Tried] = []
+        if misled and carry_on and x is nominal:
+            near = [*held(bench, nominal, found), *stuck(bench, quiet, found, HELD, LONG)]
+            near.sort(key=lambda t: t.cost)
         dry = bool(near) and near[0].made.data_part < LEAVES * base.data_part
         if dry:
             leads = [lead for lead in leads if lead.spot.place == near[0].spot.place]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
-from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.errors import EstimationError
 
 EXACT = 80

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.fit import Scatter
@@ -22,10 +23,10 @@ from labnnum.diagnosis.nonlinear.laws import force_along
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.locate import motion_of, window_of
 from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.diagnosis.nonlinear.steady import Orbit
 
 SLOW = 0.05
 """Speed, of its RMS in the fastest run, below which a dry contact may be at rest."""
@@ -86,8 +87,9 @@ class Followed(Joint):
 
     @staticmethod
     def _spectrum(run: Run, force: NDArray) -> NDArray[np.complex128]:
-        whole = np.fft.rfft(force * window_of(run, force.size)) * (2 / force.size)
-        return whole[: run.u.size]
+        size = np.max(np.abs(force)) or 1.0  # single precision
+        whole = rfft((force * window_of(run, force.size) / size).astype(np.float32))[: run.u.size]
+        return np.asarray(whole, np.complex128) * (2 * size / force.size)
 
     def slopes(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, list[Orbit | None]]:
         """Derivatives of the whitened responses, (n_out, n_x, N), the motion held."""

@@ -15,8 +15,8 @@ from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import general_lead, law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
-from labnnum.diagnosis.nonlinear.steady import Orbit
 from labnnum.errors import EstimationError
 
 GAIN = 0.1

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.march import CODES, LAWS, N_P, along
+from labnnum.diagnosis.nonlinear.march import CODES, LAWS, N_P
+from labnnum.diagnosis.nonlinear.prescribed import along
 
 
 @dataclass(frozen=True, slots=True)

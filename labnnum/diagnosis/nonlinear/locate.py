@@ -8,14 +8,15 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft
+from scipy.fft import irfft, rfft
 from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.nonlinear.kernels import weighed
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
-from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.diagnosis.nonlinear.steady import Orbit
+from labnnum.diagnosis.nonlinear.run import Run, precise
 from labnnum.mechanisms.base import Place
 
 FINE = 2
@@ -200,12 +201,13 @@ def motion_of(
     if orbit is not None:
         known = known + (r.h[:, 1:] * orbit.force).sum(axis=1)
         moved = moved + (r.g[0, 1:] * orbit.force).sum(axis=0)
-    force, (kept, all_) = _one(run, r, run.seen(run.y - r.lift * known))
+    force, (kept, all_) = _one(run, r, run.y - r.lift * known)
     z = np.where(run.inside, run.seen(moved) + r.g[0, 0] * force, 0.0)
     n = run.period * FINE
-    full = np.zeros((3, n // 2 + 1), complex)
-    full[:, : z.size] = z, r.s * z, force
-    time = np.fft.irfft(full * (n / 2), axis=1) * _unseen(run, n)
+    full = np.zeros((3, n // 2 + 1), precise(run))
+    size = np.max(np.abs(force)) or 1.0  # single precision knows no forces of 1e30 N
+    full[:, : z.size] = z / size, r.s * z / size, force / size
+    time = np.asarray(irfft(full, axis=1), float) * (_unseen(run, n) * (size * n / 2))
     return time[0], time[1], time[2], (force, kept, all_)
 
 
@@ -233,33 +235,30 @@ def _unseen(run: Run, n: int) -> NDArray[np.float64]:
     return 1.0 / window if run.decay else np.where(window < ENDS, 0.0, 1.0 / np.maximum(window, ENDS))
 
 
-def _one(run: Run, r: Receptance, left: NDArray) -> tuple[NDArray[np.complex128], tuple[float, float]]:
+@lru_cache(maxsize=16)
+def _expected(run: Run) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Variance of a run's residuals (n_out, n_lines) that is known beforehand, and its quiet lines."""
     inside, quiet = run.inside, run.quiet
-    if not quiet.any():
-        quiet = inside
-    h = r.lift * r.h[:, 0]
     size = np.abs(run.y)
     noise = run.noise
     if not np.isfinite(noise).all():
         noise = np.full(size.shape, (1e-3 * np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))) ** 2)
     if not run.lasting:
         size = np.sqrt(uniform_filter1d(np.abs(run.seen(run.y)) ** 2, 15, axis=1))
-    local = uniform_filter1d(np.where(quiet, np.abs(left) ** 2, 0.0), 15, axis=1)
-    local /= np.maximum(uniform_filter1d(quiet.astype(float), 15), 1e-9)
-    variance = noise + (0.03**2) * local + np.where(run.excited, (0.01 * size) ** 2, 0.0)
-    weight = 1.0 / np.maximum(variance, 1e-300)
-    top = np.sum(np.conj(h) * weight * left, axis=0)
-    power = np.sum(np.abs(h) ** 2 * weight, axis=0)
+    return noise + np.where(run.excited, (0.01 * size) ** 2, 0.0), quiet if quiet.any() else inside
+
+
+def _one(run: Run, r: Receptance, left: NDArray) -> tuple[NDArray[np.complex128], tuple[float, float]]:
+    """Force spectrum at the first place, and the power on quiet lines that it explains and that there is."""
+    inside = run.inside
+    variance, quiet = _expected(run)
+    top, power, all_ = weighed(left, r.lift, np.ascontiguousarray(r.h[:, 0]), variance, quiet, run.open)
     raw = np.where(inside, top / np.maximum(power, 1e-300), 0.0)
-    spread = uniform_filter1d(np.where(inside, np.abs(raw) ** 2 * power, 0.0), 41) / np.maximum(
-        uniform_filter1d(np.where(inside, power, 0.0), 41), 1e-300
-    )
-    count = uniform_filter1d(inside.astype(float), 41) * 41
-    prior = np.maximum(spread - count / np.maximum(uniform_filter1d(np.where(inside, power, 0), 41) * 41, 1e-300), 0)
-    prior = np.maximum(prior, 1e-3 * spread) + 1e-300
+    felt = np.maximum(uniform_filter1d(np.where(inside, power, 0.0), 41), 1e-300)
+    spread = uniform_filter1d(np.where(inside, np.abs(raw) ** 2 * power, 0.0), 41) / felt
+    count = uniform_filter1d(inside.astype(float), 41)
+    prior = np.maximum(spread - count / felt, 1e-3 * spread) + 1e-300
     force = np.where(inside, top / (power + 1.0 / prior), 0.0)
-    w = weight[:, quiet]
-    all_ = float(np.sum(w * np.abs(left[:, quiet]) ** 2))
     kept = float(np.sum(np.abs(top[quiet]) ** 2 / np.maximum(power[quiet], 1e-300)))
     return force, (kept, all_)
 

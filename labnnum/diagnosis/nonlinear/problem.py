@@ -14,9 +14,10 @@ from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.diagnosis.nonlinear.steady import Orbit, Steady
+from labnnum.diagnosis.nonlinear.steady import Steady
 
 FINE_STEPS = 3.3
 """Steps of the march to a period of the highest excited line, at least: harmonics up to the fifth do not fold back."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.nonlinear.kernels import combined, modal
 from labnnum.frf import MOTION_ORDER
 from labnnum.structures.modal import ModalStructure
 
@@ -79,7 +80,8 @@ class Base:
         lines: NDArray | None = None,
     ) -> None:  # fmt: skip
         self.engine, self.point, self.columns = engine, point, columns
-        self.s = decay + 1j * np.asarray(omega, float)
+        self.decay, self.turn = float(decay), np.asarray(omega, float)
+        self.s = decay + 1j * self.turn
         self.lines = np.arange(self.s.size) if lines is None else lines
         self.k = columns.shape[1]
         e = engine
@@ -122,7 +124,8 @@ class Base:
     def _remainder(self, a: NDArray, b: NDArray, s: NDArray) -> NDArray:
         static = a @ b.T
         slope = (a / np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf) ** 2) @ b.T
-        return static[:, :, None] - slope[:, :, None] * s**2
+        square = np.real(s * s) if self.decay == 0.0 else s * s
+        return static[:, :, None] - slope[:, :, None] * square
 
     # ---------------------------------------------------------------- values
 
@@ -142,21 +145,19 @@ class Base:
         zeta[b] = np.exp(log_zeta)
         zeta[: e.rigid_modes] = CORDS
         share = float(self.point.law[0])
-        rate = (1 - share) * self.s + 1j * share * omega[:, None]
-        square = omega[:, None] ** 2 + 2 * (zeta * omega)[:, None] * rate + self.s**2
         # a lasting force on a rigid body has no response that lasts: of the mean it is left out
-        some = (square != 0) & (self.some | (omega >= RIGID * np.abs(self.s[1].imag))[:, None])
-        d = np.where(some, 1.0 / np.where(some, square, 1.0), 0.0)
+        d = modal(omega, zeta, share, self.decay, self.turn, RIGID * np.abs(self.s[1].imag))
         load = st.load[:, 0].copy()
         load[b] += size * e.load_typical
         w = self.columns.T @ st.shape
         w[:, b] += motion.reshape(self.k, b.size) * self.w_typical
         out, s = st.out, self.s[self.lines]
-        here = d[:, self.lines]
-        plain = (out.T * load) @ here
-        h = np.stack([(out.T * row) @ here for row in w], axis=1) if self.k else np.zeros((out.shape[1], 0, s.size))
-        z = (w * load) @ d
-        g = ((w[:, None] * w[None]).reshape(-1, w.shape[1]) @ d).reshape(self.k, self.k, d.shape[1])
+        here = d if self.lines.size == d.shape[1] else np.ascontiguousarray(d[:, self.lines])
+        plain = combined(out.T * load, here)
+        each = (out.T[:, None] * w[None]).reshape(-1, w.shape[1])
+        h = combined(each, here).reshape(out.shape[1], self.k, s.size)
+        z = combined(w * load, d)
+        g = combined((w[:, None] * w[None]).reshape(-1, w.shape[1]), d).reshape(self.k, self.k, d.shape[1])
         if e.high.shape[1]:
             plain = plain + self._remainder(self.high_out, self.high_load, s)[:, 0]
             h = h + self._remainder(self.high_out, self.high_w, s)

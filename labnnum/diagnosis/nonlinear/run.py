@@ -95,6 +95,11 @@ class Run:
         return hann_of(spectra) if self.open else spectra
 
 
+def precise(run: Run) -> type[np.complex64] | type[np.complex128]:
+    """Precision that transforms from the run's lines to time need: single, but where a window is taken off at last."""
+    return np.complex128 if run.decay else np.complex64
+
+
 def hann_of(spectra: NDArray) -> NDArray:
     """Spectra (..., n_lines) of the same signals under a Hann window over the period."""
     out = 0.5 * spectra

@@ -111,15 +111,28 @@ def _general(bench: Bench, best: Tried, leads: Sequence[Lead]) -> Tried | None:
 
 
 def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter, lines: int = LINES) -> list[Tried]:
-    """The winning law at other spots: followed, and simulated where that comes near."""
+    """The winning law at other spots: followed, and simulated where that comes near.
+
+    Where the winner leaves more than noise, so does the motion that is recovered through its base: what does not come
+    near along it is then simulated as the winner stands.
+    """
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines)
     x = best.made.x[: best.made.n_base]
-    made = [bench.follow(x, replace(of_fit(best), spot=s), LONG) for s in spots]
-    near = [t for t in made if t is not None]
-    done = [bench.simulate(t, LONG) if t.cost < CLOSE * best.cost else t for t in near]
-    return [t for t in done if t is not None]
+    unsure = best.simulated and best.named and best.made.data_part > UNSURE * best.made.count
+    out: list[Tried] = []
+    for s in spots:
+        lead = replace(of_fit(best), spot=s)
+        one = bench.follow(x, lead, LONG)
+        if one is not None and one.cost < CLOSE * best.cost:
+            one = bench.simulate(one, LONG)
+        elif unsure:
+            one = bench.direct((x[: best.made.bare],), lead, LONG, soften=False) or one
+        out += [one] if one is not None else []
+    return out
 
 
+UNSURE = 3.0
+"""Chi-square per value that the winner leaves above which the motion recovered through its base is not relied on."""
 FINER = 0.1
 """Part of what the base leaves below which a law is worth finer steps; they move the limit of dry friction."""
 FINE = 350

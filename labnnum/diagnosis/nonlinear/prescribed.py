@@ -1,0 +1,74 @@
+"""Forces of laws along a motion that is given, sample by sample: laws with memory, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from labnnum.diagnosis.nonlinear.march import law
+
+
+@njit(cache=True)
+def _loop(z, p, turns):  # pragma: no cover - compiled
+    """Opposing force of hysteresis along a prescribed motion (n,), by the explicit midpoint rule."""
+    n = z.size
+    out = np.empty(n)
+    limit, power, share = p[1], p[2], p[3]
+    h, last = 0.0, z[0]
+    if limit <= 0.0:
+        out[:] = 0.0
+        return out
+    for _ in range(turns):
+        for i in range(n):
+            step = z[i] - last
+            half = h
+            for _ in range(2):
+                a = share * (1.0 if step * half > 0 else -1.0) + 1.0 - share
+                half = h + 0.5 * step * (1.0 - a * (abs(half) / limit) ** power)
+            a = share * (1.0 if step * half > 0 else -1.0) + 1.0 - share
+            h += step * (1.0 - a * (abs(half) / limit) ** power)
+            last = z[i]
+            out[i] = p[0] * h
+    return out
+
+
+@njit(cache=True)
+def _slid(z, p, turns):  # pragma: no cover - compiled
+    """Opposing force of a spring in series with a slider along a prescribed motion (n,)."""
+    n = z.size
+    out = np.empty(n)
+    held, reach = z[0], p[1] / p[0] if p[0] > 0.0 else np.inf
+    for _ in range(turns):
+        for i in range(n):
+            away = z[i] - held
+            if away > reach:
+                away = reach
+                held = z[i] - reach
+            elif away < -reach:
+                away = -reach
+                held = z[i] + reach
+            out[i] = p[0] * away
+    return out
+
+
+@njit(cache=True)
+def along(code, z, v, p, turns):  # pragma: no cover - compiled
+    """Opposing force of a law along a prescribed motion (n,), passed through `turns` times; that of the last pass."""
+    if code == 7:
+        return _loop(z, p, turns)
+    if code == 6:
+        return _slid(z, p, turns)
+    n = z.size
+    out = np.empty(n)
+    memory = np.zeros(2)
+    memory[0] = z[0]
+    lp = np.empty(10)
+    d = np.empty(5)
+    for _ in range(turns):
+        for i in range(n):
+            if code == 4:
+                out[i] = p[0] * np.sign(v[i])
+                continue
+            value, _, _ = law(code, z[i], v[i], p, memory, lp, d)
+            out[i] = value
+    return out

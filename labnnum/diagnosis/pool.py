@@ -1,0 +1,48 @@
+"""Several runs of the same channels as one Frf."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labnnum.diagnosis.observe import Observation
+from labnnum.errors import ChannelError
+from labnnum.frf import Frf
+
+
+def pool(observations: Sequence[Observation]) -> Frf:
+    """One Frf from several runs of the same channels: weighted means on shared lines, all lines together.
+
+    A scatter between runs beyond their noise (remounts, level) is added to the variance.
+    """
+    first = observations[0].frf
+    names = [c.name for c in first.outputs]
+    for o in observations[1:]:
+        if [c.name for c in o.frf.outputs] != names or len(o.frf.inputs) != len(first.inputs):
+            raise ChannelError(f"{o.label}: its channels differ from those of {observations[0].label}")
+    if len(observations) == 1:
+        return first
+    step = np.min(np.concatenate([np.diff(o.frf.frequency) for o in observations])) * 0.25
+    keys = [np.round(o.frf.frequency / step).astype(int) for o in observations]
+    union = np.unique(np.concatenate(keys))
+    shape = (*first.value.shape[:2], union.size)
+    weight, total = np.zeros(shape), np.zeros(shape, complex)
+    square, count = np.zeros(shape), np.zeros(union.size)
+    where = [np.searchsorted(union, k) for k in keys]
+    frequency = np.zeros(union.size)
+    for o, at in zip(observations, where, strict=True):
+        assert o.frf.variance is not None
+        w = 1.0 / np.maximum(o.frf.variance, 1e-300)
+        weight[..., at] += w
+        total[..., at] += w * o.frf.value
+        square[..., at] += w * np.abs(o.frf.value) ** 2
+        count[at] += 1
+        frequency[at] = o.frf.frequency
+    mean = total / weight
+    spread = np.maximum(square / weight - np.abs(mean) ** 2, 0)
+    between = np.where(count > 1, spread / np.maximum(count - 1, 1), 0.0)
+    variance = np.maximum(1.0 / weight, between)
+    return replace(first, frequency=frequency, value=mean, variance=variance, coherence=None, input_spectrum=None,
+                   input_condition=None)  # fmt: skip

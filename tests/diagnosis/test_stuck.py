@@ -1,0 +1,85 @@
+"""Laws stiffer than the structure: their steady states close, and the search finds the structure that they hold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.nonlinear.bench import Bench
+from labnnum.diagnosis.nonlinear.discrete import feedback
+from labnnum.diagnosis.nonlinear.explore import engine_start, looked
+from labnnum.diagnosis.nonlinear.locate import spots
+from labnnum.diagnosis.nonlinear.march import CODES
+from labnnum.diagnosis.nonlinear.merge import linear_least
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.start import base_point, quietest
+from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.diagnosis.nonlinear.stuck import beside_spring, quiet_data, stuck
+from labnnum.nonlinear import Element
+from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, PERIOD, RATE, chain, joint_23, multisine, runs, steady
+
+STIFF = 4e3
+"""Four times the links of the chain."""
+
+
+def test_a_slider_that_sticks_is_a_linear_spring():
+    """A slider that never yields, four times as stiff as the links, against the exact linear response."""
+    structure, spectrum = chain(), multisine(1.0, 3)
+    base, coarse, parameters = steady(structure, spectrum, "stick-slip", (STIFF, 1e9))
+    solver = Steady(coarse.run, np.array([CODES["stick-slip"]]), 1)
+    r = base.at(base.start())
+    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 12)
+    assert orbit.closing < 1e-3
+    assert feedback(solver.prepare(r), r, orbit.motion, orbit.time) is not None
+    exact = -STIFF * r.z[0] / (1 + STIFF * r.g[0, 0]) * spectrum
+    on = spectrum != 0
+    assert np.linalg.norm(orbit.force[0, on] - exact[on]) < 2e-3 * np.linalg.norm(exact[on])
+
+
+def test_weak_laws_need_no_feedback():
+    base, solver, parameters = steady(chain(), multisine(25.0, 1), "cubic", (3e4,))
+    r = base.at(base.start())
+    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25)
+    assert orbit.fed is None
+
+
+def _bench(element, levels):
+    observations = sorted(runs([element], chain(), levels), key=lambda o: o.level)[::2]
+    structure, band = chain(), (0.5, 12.0)
+    engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * band[0], 2 * np.pi * band[1]))
+    made = [o.run for o in observations if o.run is not None]
+    i = quietest(made)
+    point = base_point(engine, observations[i], Scatter(), band)
+    every = spots(engine, engine.site(("1", "2", "3", "4"), (("1", "2"), ("2", "3"), ("3", "4")), ()))
+    return Bench(engine, point, tuple(made), Scatter(), ()).on(160), i, every
+
+
+def test_the_spring_of_a_slider_is_told_from_the_base():
+    bench, i, every = _bench(Element("jenkins", joint_23(), (3000.0, 20.0)), (2.0, 8.0, 25.0))
+    plain = bench.joint([])
+    found, _ = looked(plain, engine_start(plain), every)
+    here = next(q for q in found if q.spot.place.id == "2" and q.spot.place.to == "3")
+    made = beside_spring(bench.engine, quiet_data(bench.runs[i], bench.scatter), here, 2000.0, bench.scatter)
+    assert made.point.terms[0] == pytest.approx(3000.0, rel=0.05)
+    assert made.point.theta[0] == pytest.approx(1000.0, rel=0.05)
+    best = stuck(bench, i, [here], 1, 10)[0]  # where the search of every law begins
+    stiffness, limit = best.made.law(0)[0][:2]
+    assert stiffness == pytest.approx(3000.0, rel=0.25)
+    assert limit * (stiffness if best.mechanism == "hysteresis" else 1.0) == pytest.approx(20.0, rel=0.25)
+
+
+def test_no_linear_model_explains_what_changes_with_level():
+    bench, _, _ = _bench(Element("cubic", joint_23(), (3e4,)), (1.0, 3.0, 9.0))
+    assert linear_least(bench.runs, bench.scatter) > 10.0
+    quiet, _, _ = _bench(Element("cubic", joint_23(), (1e-3,)), (1.0, 3.0, 9.0))
+    assert linear_least(quiet.runs, quiet.scatter) < 1.5
+    assert linear_least([replace(r, open=True) for r in bench.runs], bench.scatter) == 0.0
+
+
+def test_a_run_of_its_own_says_nothing_of_levels():
+    none = np.zeros((3, PERIOD // 2 + 1))
+    spectrum = multisine(1.0, 1)
+    run = Run(RATE, PERIOD, spectrum, none.astype(np.complex128), none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
+    assert linear_least([run], Scatter()) == 0.0
