@@ -90,7 +90,7 @@ class Irregular:
         zones = np.array([st.shape.T @ part @ st.shape for part in self.zones]).reshape(-1, *heavy.shape[1:])
         moved = np.zeros((len(self.kinds), b.size))
         n = self.starts.size
-        moved[:n] = stiff[:, b, b] / np.maximum(2 * st.omega[b] ** 2, 1e-300) * (st.omega[b] > 0)
+        moved[:n] = stiff[:, b, b] / np.where(st.omega[b] > 0, 2 * st.omega[b] ** 2, np.inf)
         moved[2 * n : 2 * n + self.first.size] = -heavy[:, b, b] / 2
         every = np.concatenate([stiff, stiff, heavy, zones])
         every[:, b, b] = 0.0

@@ -109,6 +109,7 @@ class _Components:
     """Variance components of one fit's linear model: rows' own columns, common ones, what is fitted, noise."""
 
     def __init__(self, problem: Problem, made: Fit, parts: list[str]) -> None:
+        self.problem = problem
         x = made.point.vector()
         r, b, c, j, moved = problem._parts(x, jacobian=True)
         assert j is not None
@@ -152,7 +153,11 @@ class _Components:
         each = (self.yy - np.matmul(scaled.transpose(0, 2, 1), solved)) / level
         a = each.sum(0)
         hessian, gradient = a[:-1, :-1] + np.diag(prior), a[:-1, -1] - prior * self.off
-        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+        n = self.shared.size - self.problem.reach.size
+        if not np.isfinite(hessian).all():  # a fit beyond all numbers tells of no error
+            return size, phi
+        own_scale = np.sqrt(np.maximum(np.diag(hessian)[:n], prior[:n]))  # rounding may leave less than the prior
+        scale = np.concatenate([own_scale, self.problem.scale(hessian[n:, n:])])  # infinite where nothing is felt
         covariance = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-12, hermitian=True)
         covariance = covariance / np.outer(scale, scale)
         step = covariance @ gradient

@@ -89,8 +89,9 @@ def data_of(frf: Frf, scatter: Scatter) -> Data:
     assert frf.variance is not None
     decay = float(frf.settings.get("window_decay", 0.0))
     s = np.asarray(decay + 1j * frf.omega, complex)
-    alike = scatter.rows is not None and scatter.rows.shape == frf.value.shape[:2]
-    return Data(s, frf.value, np.sqrt(frf.variance)).with_floor(scatter.rows if alike else scatter.floor)
+    rows = scatter.rows
+    floor = scatter.floor if rows is None or rows.shape != frf.value.shape[:2] else rows
+    return Data(s, frf.value, np.sqrt(frf.variance)).with_floor(floor)
 
 
 @dataclass(frozen=True, eq=False)
