@@ -27,9 +27,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.fit import Data, Scatter, fit
+from labnnum.diagnosis.fit import fit
 from labnnum.diagnosis.places import all_terms, places_of
 from labnnum.diagnosis.prediction import predicted, relative_error, trimmed
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.task import choose_lines, data_of
 from labnnum.mechanisms import CATALOGUE, Term
 from sessions.diagnose import run

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.prediction import errors_of, foretold, predicted, relative_error, trimmed
 from labnnum.diagnosis.runs import nonlinear_signs
 from labnnum.diagnosis.scale import with_scale
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.task import Candidate, Selection, choose_lines, dispersion, settled
 from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise

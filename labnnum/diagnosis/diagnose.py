@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.decide import decide
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.gates import drifted, pass_gates
 from labnnum.diagnosis.linear import select
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import all_terms, places_of
 from labnnum.diagnosis.runs import split_runs
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Diagnosis, Limits
 from labnnum.errors import EstimationError
 from labnnum.frf import Frf

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.race import stage_of
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.search import broaden, direction_score, thin
 from labnnum.diagnosis.sharpen import USUAL, sharpened
 from labnnum.diagnosis.task import (

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.evaluation import Evaluation
-from labnnum.diagnosis.fit import Data
 from labnnum.diagnosis.point import Point
+from labnnum.diagnosis.scatter import Data
 from labnnum.mechanisms.base import Place, Term
 
 

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Fit, Problem, Scatter, fit
+from labnnum.diagnosis.fit import Fit, fit
+from labnnum.diagnosis.objective import Problem
 from labnnum.diagnosis.point import Point
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.search import broaden
 from labnnum.diagnosis.task import choose_lines, data_of
 from labnnum.frf import MOTION_ORDER, Frf

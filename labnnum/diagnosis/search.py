@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.evaluation import sweep
-from labnnum.diagnosis.fit import Data, Problem, Scatter
+from labnnum.diagnosis.objective import Problem
 from labnnum.diagnosis.point import Point
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.mechanisms.base import Term
 
 

@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Fit, Problem, Scatter
+from labnnum.diagnosis.fit import Fit
+from labnnum.diagnosis.objective import Problem
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.task import data_of
 from labnnum.frf import Frf
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.point import Point
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from labnnum.diagnosis.fit import Data
 from labnnum.diagnosis.race import Race, one_each, shadows, stage_of
+from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.search import grid_score, subspace_score
 from labnnum.diagnosis.task import Candidate, Task, afresh, among, settled, winner_base
 from labnnum.diagnosis.verdict import Limits

@@ -9,8 +9,9 @@ from itertools import combinations
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.prediction import errors_of, foretold, trimmed
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.task import Candidate, Selection, dispersion, settled
 from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf

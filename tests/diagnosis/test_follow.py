@@ -7,7 +7,6 @@ import pytest
 
 from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.explore import explore
 from labnnum.diagnosis.nonlinear.locate import spots
 from labnnum.diagnosis.nonlinear.march import CODES
@@ -16,6 +15,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.observe import observe_all
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.nonlinear import Element
 from labnnum.parameters import Parameter
 from labnnum.structures import Chain

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Problem, Scatter, fit
+from labnnum.diagnosis.fit import fit
+from labnnum.diagnosis.objective import Problem
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.sharpen import LEAST, USUAL, sharpened
 from labnnum.frf import Frf
 from labnnum.parameters import Parameter

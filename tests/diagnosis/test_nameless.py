@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis import diagnose
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.gates import drifted
 from labnnum.diagnosis.nonlinear.decision import NAMELESS
 from labnnum.diagnosis.nonlinear.laws import SHAPES, TERMS, force_along
@@ -13,6 +12,7 @@ from labnnum.diagnosis.nonlinear.moved import moved
 from labnnum.diagnosis.nonlinear.prescribed import along
 from labnnum.diagnosis.nonlinear.scales import common, powers, scale_std
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.frf import Frf
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.discrete import feedback
 from labnnum.diagnosis.nonlinear.explore import engine_start, looked
@@ -17,6 +16,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.nonlinear.stuck import beside_spring, quiet_data, stuck
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, PERIOD, RATE, chain, joint_23, multisine, runs, steady
 

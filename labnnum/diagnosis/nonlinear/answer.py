@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
 from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide, unsimulated
@@ -25,6 +24,7 @@ from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect,
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Limits
 from labnnum.structures.modal import ModalStructure
 

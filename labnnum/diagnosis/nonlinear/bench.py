@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
 from labnnum.diagnosis.nonlinear.laws import SHAPES
@@ -18,6 +17,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError
 
 

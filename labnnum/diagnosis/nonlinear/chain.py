@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.further import further, needed
 from labnnum.diagnosis.nonlinear.locate import Spot
 from labnnum.diagnosis.nonlinear.study import at_places
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Limits
 
 PROMISE = 0.3

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import Prospect
@@ -21,6 +20,7 @@ from labnnum.diagnosis.nonlinear.shown import Curve, curves
 from labnnum.diagnosis.nonlinear.suspect import heard
 from labnnum.diagnosis.nonlinear.timing import Timed, told
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Alternative, Limits, Named
 from labnnum.mechanisms import CATALOGUE
 from labnnum.mechanisms.base import Place

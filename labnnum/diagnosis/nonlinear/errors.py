@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
 from labnnum.diagnosis.nonlinear.lines import choose_lines
@@ -16,6 +15,7 @@ from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.suspect import heard
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.scatter import Scatter
 
 
 def noise_of(observations: Sequence[Observation]) -> float:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import law_leads, ranked
@@ -19,6 +18,7 @@ from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import stuck
+from labnnum.diagnosis.scatter import Scatter
 
 LAWS = (
     "cubic-stiffness", "quadratic-stiffness", "quadratic-damping", "coulomb-friction", "one-sided-gap", "clearance",

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.laws import force_along
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.locate import motion_of, window_of
@@ -27,6 +26,7 @@ from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.scatter import Scatter
 
 SLOW = 0.05
 """Speed, of its RMS in the fastest run, below which a dry contact may be at rest."""

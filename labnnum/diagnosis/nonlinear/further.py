@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
 from labnnum.diagnosis.nonlinear.explore import LAWS
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
@@ -17,6 +16,7 @@ from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError
 
 GAIN = 0.1

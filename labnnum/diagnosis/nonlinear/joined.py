@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
 from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.records import stretch_of
 from labnnum.diagnosis.nonlinear.run import Run, resampled
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError
 
 if TYPE_CHECKING:

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Study
 from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.records import hits_of, stretch_of
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.recording import Recording
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.study import FINE, LONG, Bench, Tried
+from labnnum.diagnosis.scatter import Scatter
 
 
 def single_laws(found: NonlinearAnswer, scatter: Scatter, lines: int = FINE) -> list[NonlinearAnswer]:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.answer import answer
 from labnnum.diagnosis.nonlinear.beside import added_to, strained
 from labnnum.diagnosis.nonlinear.decision import (
@@ -27,6 +26,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.mechanisms.base import ChannelMechanism

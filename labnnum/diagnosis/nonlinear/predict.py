@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.recording import Recording
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.march import N_P
@@ -18,6 +17,7 @@ from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.diagnosis.scatter import Scatter
 
 FINE_STEPS = 3.3
 """Steps of the march to a period of the highest excited line, at least: harmonics up to the fifth do not fold back."""

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.fit import Scatter
+from labnnum.diagnosis.scatter import Scatter
 
 
 def powers(unit: str) -> tuple[int, int]:

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.search import broaden
 from labnnum.frf import Frf
 

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Data, Fit, Scatter, fit
+from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import LADDER
+from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.search import broaden
 from labnnum.mechanisms.base import Group, Term
 from labnnum.mechanisms.ground_stiffness import GroundStiffness

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.fit import Scatter
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit, tried_fit
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, NOISY, Prospect, engine_start, nearest
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.scatter import Scatter
 
 ENOUGH = 1.15
 """Chi-square per value at which a law leaves nothing for a general one to explain."""
