@@ -51,7 +51,7 @@ def decide(
     measured = all(o.kind != "frf" for o in observations)
     plain_base = trimmed(engine, lines, base.fit, scatter)
     base_error = errors_of(engine, plain_base, train, test)
-    selection = alarmed(selection, limits, data)
+    selection = alarmed(selection, limits, data, base_error[1])
     selection, plain_final, extended_error = worthwhile(
         engine,
         lines,

@@ -116,9 +116,12 @@ def select(
         task = replace(task, data=data, coarse=thin(data, data.s.size * 2 // 5))
     progress("fitting the model as it is")
     base = base_fit(task, held, start)
-    given, task = data, sharper(task, lines, data, base, measured=measured_noise, explained=False)
-    data = task.data
-    base = fit(engine, data, held, task.scatter, base.point.vector(), steps=40)
+    given, by_hand = data, len(frf.inputs) > len(frf.outputs)
+    told_apart = measured_noise and not by_hand  # else noise, or where each hit went, hides how large errors are
+    if told_apart:
+        task = sharper(task, lines, data, base, explained=False)
+        data = task.data
+        base = fit(engine, data, held, task.scatter, base.point.vector(), steps=40)
     chain = [Candidate(held, base, base.objective)]
     stages: list[tuple[Candidate, ...]] = []
     law: Candidate | None = None
@@ -147,14 +150,16 @@ def select(
             law = laws[0] if laws else None
             if law is not None and found[0].cost - law.cost > limits.name:
                 found = among(found, told_by(task, left, chain[0], law))
-            task = sharper(task, lines, given, min([*found, *laws], key=lambda c: c.cost).fit, measured=measured_noise)
+            if told_apart:
+                task = sharper(task, lines, given, min([*found, *laws], key=lambda c: c.cost).fit)
             if task.data is not data:
                 data = task.data
                 found, laws = (sorted((_anew(task, c) for c in part), key=lambda c: c.cost) for part in (found, laws))
                 law = laws[0] if laws else None
                 chain = [_anew(task, chain[0])]
-            chain = [_beside(task, chain[0], [*found[:2], *laws[:1]])]
-            base = chain[0].fit
+            if told_apart:
+                chain = [_beside(task, chain[0], [*found[:2], *laws[:1]])]
+                base = chain[0].fit
             stages[-1] = tuple(found)
             for c in [*found, *laws]:
                 place = c.last.place
@@ -177,14 +182,14 @@ SAME = 0.15
 """Relative change of every kind of error below which a scatter is left as it is."""
 
 
-def sharper(task: Task, lines: Frf, given: Data, made: Fit, *, measured: bool, explained: bool = True) -> Task:
+def sharper(task: Task, lines: Frf, given: Data, made: Fit, *, explained: bool = True) -> Task:
     """The task with the ordinary errors that a fit supports; as it is where they are nearly those that it has."""
-    found = sharpened(task.engine, lines, made, task.wide, given, measured=measured, explained=explained)
+    found = sharpened(task.engine, lines, made, task.wide, given, explained=explained)
     if task.scatter is not task.wide:
         ratios = [getattr(found, k) / getattr(task.scatter, k) for k in USUAL]
         if max(abs(np.log(ratios))) < SAME:
             return task
-    data = data_of(lines, found) if measured else given
+    data = data_of(lines, found)
     return replace(task, scatter=found, data=data, coarse=thin(data, data.s.size * 2 // 5))
 
 

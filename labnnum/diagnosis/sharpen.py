@@ -43,23 +43,19 @@ MOST = 24
 """Directions of irregularity at most."""
 
 
-def sharpened(
-    engine: Engine, lines: Frf, made: Fit, wide: Scatter, given: Data, *, measured: bool, explained: bool = True
-) -> Scatter:
+def sharpened(engine: Engine, lines: Frf, made: Fit, wide: Scatter, given: Data, *, explained: bool = True) -> Scatter:
     """The scatter that the errors of a fit support, each between `LEAST` and the whole of what `wide` allows.
 
     Parameters
     ----------
     lines : Frf
-        What was fitted, with its variance.
+        What was fitted, with its measured variance.
     made : Fit
         Fitted under whatever scatter.
     wide : Scatter
         Largest errors of a sound model and bench.
     given : Data
         The lines under `wide`.
-    measured : bool
-        Whether the variance was measured; if not, the floor stays.
     explained : bool
         Whether the fit is taken to explain the data. If not, errors get their usual size at most: what is missing may
         have gone into them.
@@ -70,11 +66,9 @@ def sharpened(
     found, phi = _Components(problem, made, parts).found()
     scale = {k: float(np.clip(v, LEAST, 1.0 if explained else USUAL[k])) for k, v in found.items()}
     sharp = replace(wide, common=None, **{k: v * getattr(wide, k) for k, v in scale.items()})
-    if measured:
-        rows = wide.floor * _floors(lines, given, phi)
-        sharp = replace(sharp, floor=float(np.sqrt(np.mean(rows**2))), rows=rows)
-    seen = data_of(lines, sharp) if measured else given
-    return replace(sharp, common=_directions(engine, seen, made, sharp, parts))
+    rows = wide.floor * _floors(lines, given, phi)
+    sharp = replace(sharp, floor=float(np.sqrt(np.mean(rows**2))), rows=rows)
+    return replace(sharp, common=_directions(engine, data_of(lines, sharp), made, sharp, parts))
 
 
 def _floors(lines: Frf, given: Data, phi: NDArray) -> NDArray[np.float64]:

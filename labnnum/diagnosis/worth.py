@@ -28,16 +28,27 @@ def improves(
     """
     if extended_error <= limits.improve**n * base_error:
         return True
-    if foretells(score, n * limits.name) and extended_error <= 1.05 * base_error:
-        return True
+    if foretells(selection, score, (limits.improve_further**n, n * limits.name), limits, base_error):
+        if extended_error <= 1.05 * base_error:
+            return True
     base, final = selection.chain[0].fit, selection.chain[-1].fit
     evident = base.objective > limits.misfit * 2 * data.value.size and settled(final, data, limits)
     return evident and extended_error <= 1.05 * base_error
 
 
-def foretells(score: tuple[float, float], gain: float) -> bool:
-    """Whether the chi-square of held-out data falls by `gain` at least."""
-    return score[0] - score[1] >= gain
+PLAIN = 0.04
+"""Held-out error below which, where errors have their largest sizes, what sound models lack is a large part of it."""
+
+
+def foretells(
+    selection: Selection, score: tuple[float, float], enough: tuple[float, float], limits: Limits, error: float
+) -> bool:
+    """Whether the chi-square of held-out data falls far enough: by `enough[1]` where errors have the size that the data
+    support; else to the part `enough[0]` and by as much as alarms.
+    """
+    if selection.scatter.common is not None:
+        return score[0] - score[1] >= enough[1]
+    return score[1] <= enough[0] * score[0] and score[0] - score[1] >= limits.alarm * max(1.0, PLAIN / error)
 
 
 def one_law(
@@ -59,17 +70,22 @@ def _apart(selection: Selection) -> bool:
     return not any(a.touches(b) for a, b in combinations(places, 2))
 
 
-def alarmed(selection: Selection, limits: Limits, data: Data) -> Selection:
+def alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> Selection:
     """The selection without its chain where what it gains is what sound structures have.
 
-    Gains count in what the best model leaves, where that is more than noise.
+    Gains count in what the best model leaves, where that is more than noise. Where errors have their largest sizes,
+    what a sound model leaves is smooth, and some mechanism always explains a part of it: that gain is discounted where the
+    base predicts well; what the base had to ask of modal frequencies and loads counts in full.
     """
     if len(selection.chain) < 2:
         return selection
     base = selection.chain[0]
     best = min(selection.chain[1:], key=lambda c: c.cost)  # of two that need each other the first alone may be worse
-    enough = (base.cost - best.cost) / max(dispersion(best.fit, data), 1.0) >= limits.alarm
-    return selection if enough else replace(selection, chain=(base,))
+    asked, plain = 0.0, 1.0
+    if selection.scatter.common is None:
+        asked, plain = max(base.fit.prior_part - best.fit.prior_part, 0.0), max(1.0, PLAIN / max(error, 1e-9))
+    smooth = (base.cost - best.cost - asked) / max(dispersion(best.fit, data), 1.0)
+    return selection if smooth / plain + asked >= limits.alarm else replace(selection, chain=(base,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +117,7 @@ def worthwhile(
         closer = told[1] <= min(
             limits.improve_further ** (i + 1 - kept) * error[1], limits.improve ** (i + 1) * base[1][1]
         )
-        if i and not closer and not _foreseen((score, foreseen), i + 1 - kept, limits, (error[1], told[1])):
+        if i and not closer and not _foreseen(selection, (score, foreseen), i + 1 - kept, limits, (error[1], told[1])):
             continue
         kept, plain, error, score = i + 1, made, told, foreseen
     stages: tuple[tuple[Candidate, ...], ...] = selection.stages[: max(kept, 1)]
@@ -114,7 +130,7 @@ def worthwhile(
         left = [judge.errors(made) for made in used]
         scores = [judge.score(c.fit) for c in leaner]
         i = min(range(len(left)), key=lambda k: left[k][1])
-        if left[i][1] > 1.1 * error[1] or _foreseen((scores[i], score), 1, limits, (left[i][1], error[1])):
+        if left[i][1] > 1.1 * error[1] or _foreseen(selection, (scores[i], score), 1, limits, (left[i][1], error[1])):
             last, stages = _foremost(last, len(before.terms), stages, [t[1] for t in left])
             break
         last, plain, error, score = leaner[i], used[i], left[i], scores[i]
@@ -123,10 +139,13 @@ def worthwhile(
     return replace(selection, chain=(before, *steps, last) if kept else (before,), stages=stages), plain, error
 
 
-def _foreseen(score: tuple[float, float], n: int, limits: Limits, error: tuple[float, float]) -> bool:
+def _foreseen(
+    selection: Selection, score: tuple[float, float], n: int, limits: Limits, error: tuple[float, float]
+) -> bool:
     """Whether `n` mechanisms more foretell data held out by that much better, and predict no worse."""
     nearer = score[1] <= limits.foreseen**n * score[0]
-    return nearer and foretells(score, n * limits.further) and error[1] <= 1.05 * error[0]
+    enough = (limits.improve_further**n, n * limits.further)
+    return nearer and foretells(selection, score, enough, limits, error[0]) and error[1] <= 1.05 * error[0]
 
 
 def _foremost(
@@ -164,7 +183,7 @@ def missing(
     score: tuple[float, float],
 ) -> bool:  # fmt: skip
     """Whether something is missing though it has no name: the base is far off, or some extension predicts better."""
-    if foretells(score, limits.alarm):
+    if foretells(selection, score, (limits.doubt, limits.alarm), limits, base_error[1]):
         return True
     if measured and selection.chain[0].fit.objective > limits.misfit * 2 * data.value.size:
         return True
@@ -175,8 +194,10 @@ def missing(
         return False
     if not law.last.groups:
         return spoilt(selection, limits, data)
-    if foretells((score[0], foretold(engine, law.fit, test, selection.scatter)), limits.alarm):
-        return True
+    if selection.scatter.common is not None:
+        told = (score[0], foretold(engine, law.fit, test, selection.scatter))
+        if foretells(selection, told, (limits.doubt, limits.alarm), limits, base_error[1]):
+            return True
     return errors_of(engine, trimmed(engine, lines, law.fit, scatter), train, test)[1] < limits.doubt * base_error[1]
 
 

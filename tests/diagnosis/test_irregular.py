@@ -141,7 +141,7 @@ def test_errors_get_the_size_that_the_data_support(gross):
         frf = Frf(np.imag(s) / 2 / np.pi, value, OUTPUTS, FORCE, None, noise**2, 10.0, "test")
         data = Data(s, value, noise).with_floor(most.floor)
         base = fit(made, data, (), most, made.start().vector(), steps=40)
-        sharp = sharpened(made, frf, base, most, data, measured=True)
+        sharp = sharpened(made, frf, base, most, data)
         for k in told:
             told[k].append(getattr(sharp, k) / getattr(most, k))
     mean = {k: np.mean(v) for k, v in told.items()}
