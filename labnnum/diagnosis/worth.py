@@ -28,9 +28,9 @@ def improves(
     """
     if extended_error <= limits.improve**n * base_error:
         return True
-    if foretells(selection, score, (limits.improve_further**n, n * limits.name), limits, base_error):
-        if extended_error <= 1.05 * base_error:
-            return True
+    enough = (limits.improve_further**n, n * limits.name)
+    if foretells(selection, score, enough, limits, base_error) and extended_error <= 1.05 * base_error:
+        return True
     base, final = selection.chain[0].fit, selection.chain[-1].fit
     evident = base.objective > limits.misfit * 2 * data.value.size and settled(final, data, limits)
     return evident and extended_error <= 1.05 * base_error
@@ -74,8 +74,8 @@ def alarmed(selection: Selection, limits: Limits, data: Data, error: float) -> S
     """The selection without its chain where what it gains is what sound structures have.
 
     Gains count in what the best model leaves, where that is more than noise. Where errors have their largest sizes,
-    what a sound model leaves is smooth, and some mechanism always explains a part of it: that gain is discounted where the
-    base predicts well; what the base had to ask of modal frequencies and loads counts in full.
+    what a sound model leaves is smooth, and some mechanism always explains a part of it: that gain is discounted where
+    the base predicts well; what the base had to ask of modal frequencies and loads counts in full.
     """
     if len(selection.chain) < 2:
         return selection
