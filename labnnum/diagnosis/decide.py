@@ -103,7 +103,7 @@ def decide(
     detail = {
         "engine": engine, "data": data, "train": train, "test": test, "base": plain_base,
         "final": plain_final if named else plain_base, "selection": selection, "general": general, "reason": reason,
-        "bayes": source.fit, "base_bayes": base.fit, "foretold": score,
+        "bayes": source.fit, "base_bayes": base.fit,
     }  # fmt: skip
     nonlinear = nonlinear_signs(observations)
     shown = Diagnosis(

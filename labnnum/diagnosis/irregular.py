@@ -1,7 +1,7 @@
 """What a sound structure's parts differ by from its model: each element, mass and loss a little its own.
 
 The differences are common to all sensors, so that they have columns of their own beside those of each row
-(`fit.Problem`). A fault is an element that differs by more than elements do.
+(`objective.Problem`). A fault is an element that differs by more than elements do.
 """
 
 from __future__ import annotations
