@@ -170,7 +170,7 @@ def response_figure(d: Diagnosis, o: int) -> str:
             low.semilogy(test.frequency, np.abs(h - test.value[o, 0]) + 1e-300, color=colour, lw=0.9)
         if test.variance is not None:
             low.semilogy(test.frequency, np.sqrt(test.variance[o, 0]), color="#8a949e", lw=0.7)
-        top.legend(ncol=3, fontsize=8, loc="upper right")
+        top.legend(ncol=3, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.1)
         low.set_xlabel("frequency, Hz")
         for ax, name in ((top, "|FRF|"), (low, "residual")):
             ax.set_ylabel(name)
