@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.affine import affine
 from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.irregular import Irregular
+from labnnum.diagnosis.mesh import FINE, Inside
 from labnnum.diagnosis.point import Point, Response, State
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
@@ -67,6 +68,7 @@ class Engine:
         self._affine = affine(structure, dofs, self.basis, self.is_base)
         self._cache: dict[tuple, State] = {}
         self._seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._taken: dict[bytes, NDArray[np.complex128]] = {}
         self._grids: dict[tuple[int, int, int], tuple] = {}
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
         self.sign_out = np.array([c.sign for c in self.outputs])
@@ -90,6 +92,7 @@ class Engine:
         self.outside_modes = np.setdiff1d(np.arange(first.omega.size), self.band_modes)
         self.zeta0 = self._damping(first)
         self._sizes(first)
+        self.finer: bool | None = None
 
     def _sizes(self, first: State) -> None:
         """Typical motion of each band mode, (m_b,), and of its load: what errors are relative to."""
@@ -305,8 +308,9 @@ class Engine:
         n = sum(t.n for t in terms)
         p = np.asarray(p, float) if len(p) else np.zeros(n)
         m = self.band_modes.size
+        shift = self.mesh_shift if self.finer else np.zeros(m)
         return Point(
-            self.theta0.copy(), p, np.zeros(m), np.log(self.zeta0[self.band_modes]), np.zeros(m), np.zeros(self.n_law)
+            self.theta0.copy(), p, shift.copy(), np.log(self.zeta0[self.band_modes]), np.zeros(m), np.zeros(self.n_law)
         )
 
     def site(self, free_nodes: Sequence[str], elements: Sequence[tuple[str, str]], supports: Sequence[str]) -> Site:
@@ -330,6 +334,52 @@ class Engine:
     def irregular(self) -> Irregular:
         """The structure's parts, each of which may differ a little from the model's."""
         return Irregular.of(self)
+
+    # ---------------------------------------------------------------- the mesh
+
+    @cached_property
+    def inside(self) -> Inside:
+        """What a finer mesh would let bend."""
+        return Inside.of(self.site((), (), self.structure.supports))
+
+    @cached_property
+    def mesh_shift(self) -> NDArray[np.float64]:
+        """Relative frequency changes (m_b,) of the band modes by a finer mesh; nothing where it is fine enough."""
+        first, b = self.state(self.theta0), self.band_modes
+        shift = self.inside.shift(self.site((), (), ()), first.omega[b], first.shape[:, b])
+        return shift if np.abs(shift).max() > FINE else np.zeros(b.size)
+
+    def refine(self, finer: bool | None) -> None:
+        """Answer as a finer mesh does, or as the model itself; None, as at first, where that is not settled."""
+        self.finer = finer and bool(self.mesh_shift.any())
+
+    def in_basis(self, state: State) -> NDArray[np.float64]:
+        """The modes of a state as motions of the nominal basis, (n_basis + 1, m); the last is that of the base."""
+        share = self.basis.T @ self._nominal_mass @ state.shape
+        return np.vstack([share, np.zeros(share.shape[1])])
+
+    def inside_taken(self, s: NDArray) -> NDArray[np.complex128]:
+        """`Inside.taken` between motions of the basis and the base, (n_s, n_basis + 1, n_basis + 1), modes beside the
+        band following as the nominal ones; the last few are remembered.
+        """
+        key = s.tobytes()
+        if key not in self._taken:
+            if len(self._taken) > 12:
+                self._taken.pop(next(iter(self._taken)))
+            one = Evaluation(self, self.start(), (), s)
+            out, motions = self.outside_modes, np.column_stack([self.basis, one.state.rigid])
+            self._taken[key] = self.inside.taken(s, motions, self.in_basis(one.state)[:, out], one.d[out])
+        return self._taken[key]
+
+    @cached_property
+    def inside_own(self) -> NDArray[np.float64]:
+        """What each band mode's own dynamic stiffness loses to the inside at its frequency, over that to the fourth
+        power, (m_b,).
+        """
+        first, b = self.state(self.theta0), self.band_modes
+        omega = first.omega[b] * (1 + self.mesh_shift)
+        w = self.in_basis(first)[:, b]
+        return np.einsum("em,meg,gm->m", w, self.inside_taken(1j * omega), w).real / omega**4
 
     # ---------------------------------------------------------------- responses
 

@@ -120,6 +120,8 @@ class Evaluation:
         z_in = z_out = None
         if self.acting:
             q, x, p_out, z_in, z_out = self._couple(q, x, p_out)
+        if e.finer:
+            q, x, p_out = self._refined(q, x, p_out)
         if e.is_base:
             x = x + (st.rigid_out[:, None] / s**2)[:, None, :]
         extra = self._extra(x)
@@ -133,7 +135,7 @@ class Evaluation:
             self._chain_jacobian(jac, x * lift)
             jac = jac if swap is None else np.stack([swap(j) for j in jac])
         if not modal:
-            return Response(value)
+            return Response(value, jac)
         b = e.band_modes
         outside = self.outside
         others = self.d[outside][:, None] * self.load[outside][:, :, None]
@@ -147,6 +149,28 @@ class Evaluation:
             own = own * (lift * chain)[None]
             own = own if swap is None else np.stack([swap(c) for c in own])
         return Response(value, jac, q[b], p_out[b], lift * chain, rest, rigid, others, own, moved)
+
+    def _refined(self, q: NDArray, x: NDArray, p_out: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """With what a finer mesh lets bend, to first order but for the modes beside the band; frequencies of band modes
+        stay where they are, since their offsets hold what the mesh moves them by.
+        """
+        e, st, s, b = self.e, self.state, self.s, self.e.band_modes
+        w, taken = e.in_basis(st), e.inside_taken(s)
+        met, seen = np.tensordot(w, q, 1), np.tensordot(w, p_out, 1)  # motions of the basis, (k, i, f) and (k, o, f)
+        if e.is_base:
+            met[-1] += 1.0 / s**2
+        met, back = (np.moveaxis(np.matmul(taken, np.moveaxis(a, 2, 0)), 0, 2) for a in (met, seen))
+        own = self._own()
+        pushed, pulled = np.tensordot(w.T, met, 1), np.tensordot(w.T, back, 1)
+        pushed[b] -= own[:, None, None] * q[b]
+        pulled[b] -= own[:, None, None] * p_out[b]
+        whole = np.einsum("kof,kif->oif", seen, met) - np.einsum("m,mof,mif->oif", own, p_out[b], q[b], optimize=True)
+        return q + self.d[:, None] * pushed, x + whole, p_out + self.d[:, None] * pulled
+
+    def _own(self) -> NDArray[np.float64]:
+        """So much of what the inside takes off each band mode's dynamic stiffness moves its frequency, (m_b,)."""
+        b = self.e.band_modes
+        return self.e.inside_own * self.omega[b] ** 4 if self.e.finer else np.zeros(b.size)
 
     def ingredients(self, own: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """For the last `own` columns of motion, with the columns before them coupled: x (o, i, f), and the
@@ -308,12 +332,15 @@ class Evaluation:
         n_t, m_b = self.point.theta.size, b.size
         n_o, n_i, n_f = len(e.outputs), len(e.inputs), s.size
         jac = np.zeros((n_t + self.n_terms + 3 * m_b + e.n_law, n_o, n_i, n_f), complex)
+        moved = np.zeros((self.omega.size, 1))
+        moved[b, 0] = 4 * self._own()  # what the inside takes moves with the frequency
         slots = [*range(n_t), *(n_t + i for _, c in self.changes for i in range(c.start, c.stop))]
         for j, slot in enumerate(slots):
             slope = st.d_log[j]
             w, z = self.omega, self.zeta
             h = float(self.point.law[0])
-            stiffer = slope[:, None] * ((2 * w**2)[:, None] + (2 * z * w)[:, None] * (self.rate + 1j * h * w[:, None]))
+            stiffer = (2 * w**2)[:, None] + (2 * z * w)[:, None] * (self.rate + 1j * h * w[:, None])
+            stiffer = slope[:, None] * (stiffer + moved)
             push = st.d_load[j][:, :, None] - stiffer[:, None] * q
             if z_in is not None and z_out is not None:
                 turned = self.w @ st.mix[j]  # derivative of the terms' motions, (k, m)
@@ -344,7 +371,7 @@ class Evaluation:
         w, z = self.omega[b], self.zeta[b]
         at = n_t + self.n_terms
         h = float(self.point.law[0])
-        slope = (2 * w**2)[:, None] + (2 * z * w)[:, None] * (self.rate[b] + 1j * h * w[:, None])
+        slope = (2 * w**2)[:, None] + (2 * z * w)[:, None] * (self.rate[b] + 1j * h * w[:, None]) + moved[b]
         jac[at : at + m_b] = -pair * (slope / (1 + self.point.shift)[:, None])[:, None, None, :]
         jac[at + m_b : at + 2 * m_b] = -pair * ((2 * z * w)[:, None] * self.rate[b])[:, None, None, :]
         o = self.outside
@@ -421,4 +448,5 @@ def sweep(
         motion = np.linalg.solve(loop, np.broadcast_to(np.moveaxis(z, 2, 0), (*loop.shape[:3], z.shape[1])))
         force = np.moveaxis(np.matmul(np.moveaxis(g, 3, 1), motion), 1, 3)  # (n, k, i, f)
         change = -sum(h[:, c][None, :, None] * force[:, c][:, None] for c in range(k))
-    return one.to_channels(x[None] + change)
+    value = one.to_channels(x[None] + change)
+    return value + (engine.response(point, held, s).value - one.to_channels(x[None])) if engine.finer else value

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Fit, fit
+from labnnum.diagnosis.fit import Fit, changes_of, fit
+from labnnum.diagnosis.objective import Problem, frequency_spread
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.race import stage_of
 from labnnum.diagnosis.scatter import Data, Scatter
@@ -63,6 +64,50 @@ def _corners(engine: Engine, x: NDArray) -> list[NDArray[np.float64]]:
             y[i] = np.clip(y[i] + step * p.spread, p.lower, p.upper)
             out.append(y)
     return out
+
+
+AT_ODDS = 3.0
+"""Chi-square per value beyond which a fit does not tell whether a finer mesh would do better."""
+
+
+def settle_mesh(task: Task, made: Fit) -> Fit:
+    """The fit anew under the task's errors, as the model is and as a finer mesh answers; the engine keeps the better.
+
+    Where neither fits, it allows for both.
+    """
+    engine, start = task.engine, made.point
+
+    def fitted(finer: bool | None, points: Sequence[Point]) -> Fit:
+        engine.refine(finer)
+        fits = [fit(engine, task.data, made.terms, task.scatter, p.vector(), steps=40) for p in points]
+        return min(fits, key=lambda f: f.objective)
+
+    if not engine.mesh_shift.any():
+        return fitted(False, [start])
+    engine.refine(True)
+    fine = fitted(True, [start, _shared_out(task, made)])
+    coarse = fitted(False, [start])
+    best = min(fine, coarse, key=lambda f: f.objective)
+    if best.data_part > AT_ODDS * 2 * task.data.value.size:
+        return fitted(None, [start])
+    engine.refine(best is fine)
+    return best
+
+
+def _shared_out(task: Task, made: Fit) -> Point:
+    """The fit's point with its frequencies where they are, what the mesh moves them by in the offsets, and the rest in
+    the parameters as far as they explain it.
+    """
+    engine, point = task.engine, made.point
+    slopes = engine.state(point.theta, changes_of(made)).d_log[: point.theta.size, engine.band_modes]
+    spread = np.array([p.spread for p in engine.structure.parameters])
+    weight = 1.0 / frequency_spread(engine, task.scatter)
+    a = np.vstack([(slopes * weight).T, np.diag(1.0 / spread)])
+    rhs = np.concatenate([(point.shift - engine.mesh_shift) * weight, (engine.theta0 - point.theta) / spread])
+    step = np.linalg.lstsq(a, rhs, rcond=None)[0]
+    problem, x = Problem(engine, task.data, made.terms, task.scatter), point.vector()
+    ahead = replace(point, theta=point.theta + step, shift=point.shift - step @ slopes)
+    return point.with_vector(problem.clip(problem.centred(x, ahead.vector())))
 
 
 LOOSE = Scatter(
@@ -121,7 +166,7 @@ def select(
     if told_apart:
         task = sharper(task, lines, data, base, explained=False)
         data = task.data
-        base = fit(engine, data, held, task.scatter, base.point.vector(), steps=40)
+        base = settle_mesh(task, base)
     chain = [Candidate(held, base, base.objective)]
     stages: list[tuple[Candidate, ...]] = []
     law: Candidate | None = None
@@ -151,7 +196,11 @@ def select(
             if law is not None and found[0].cost - law.cost > limits.name:
                 found = among(found, told_by(task, left, chain[0], law))
             if told_apart:
-                task = sharper(task, lines, given, min([*found, *laws], key=lambda c: c.cost).fit)
+                leader, finer = min([*found, *laws], key=lambda c: c.cost).fit, engine.finer
+                task = sharper(task, lines, given, leader)
+                settle_mesh(task, leader)
+                if engine.finer is not finer and task.data is data:
+                    data = replace(data)
             if task.data is not data:
                 data = task.data
                 found, laws = (sorted((_anew(task, c) for c in part), key=lambda c: c.cost) for part in (found, laws))

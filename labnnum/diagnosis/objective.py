@@ -39,6 +39,16 @@ class Normal:
     moved: NDArray
 
 
+ROUGH = 0.1
+"""Relative error of what a finer mesh is told to do to a frequency."""
+
+
+def frequency_spread(engine: Engine, scatter: Scatter) -> NDArray[np.float64]:
+    """Standard deviation (m_b,) of the frequency offsets, the mesh's part in it as far as that is not settled."""
+    share = {None: 1.0, True: ROUGH, False: 0.0}[engine.finer]
+    return np.hypot(scatter.frequency, share * engine.mesh_shift)
+
+
 LOOSE = 40.0
 """A loose channel's errors over the ordinary ones: shapes and gain by more than half of themselves."""
 
@@ -51,12 +61,13 @@ class Problem:
         self.data = self._without_dropped(data)
         start = engine.start(self.terms)
         self.start = start
+        self._spread = frequency_spread(engine, scatter)
         parameters = engine.structure.parameters
         m = start.shift.size
-        self.mean = np.concatenate([start.theta, start.terms, np.zeros(m), start.log_zeta, np.zeros(m), 0 * start.law])
+        self.mean = np.concatenate([start.theta, start.terms, start.shift, start.log_zeta, np.zeros(m), 0 * start.law])
         flat = np.full(start.terms.size, np.inf)
         self.std = np.concatenate(
-            [[p.spread for p in parameters], flat, np.full(m, scatter.frequency), np.full(m, scatter.damping),
+            [[p.spread for p in parameters], flat, self._spread, np.full(m, scatter.damping),
              np.full(m, scatter.residue), [1.0, scatter.cords][: start.law.size]]
         )  # fmt: skip
         own = [q for t in self.terms for q in t.parameters]
@@ -69,8 +80,9 @@ class Problem:
         high = np.append(high, [1.0, 0.5][: start.law.size])
         if scatter.trim:
             free = self.start.theta.size + self.start.terms.size
-            for first, width in ((free, scatter.frequency), (free + 2 * m, scatter.residue)):
-                low[first : first + m], high[first : first + m] = -scatter.trim * width, scatter.trim * width
+            for first, width in ((free, self._spread), (free + 2 * m, scatter.residue)):
+                at = slice(first, first + m)
+                low[at], high[at] = self.mean[at] - scatter.trim * width, self.mean[at] + scatter.trim * width
                 self.std[first : first + m] = 10.0 * scatter.trim * width
         self.low, self.high = low, high
         self.root2 = np.sqrt(2.0)
@@ -273,7 +285,7 @@ class Problem:
         """Gram matrix of the prior of frequency offsets, (k + 1, k + 1): what directions of irregularity move them by,
         and where they are.
         """
-        c = np.vstack([-moved, -x[self._offsets]]) / self.std[self._offsets]
+        c = np.vstack([-moved, -(x - self.mean)[self._offsets]]) / self.std[self._offsets]
         return c @ c.T if moved.size else np.zeros((1, 1))
 
     def _parts(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray, NDArray, NDArray, NDArray | None, NDArray]:
@@ -324,7 +336,7 @@ class Problem:
         every = np.zeros((m, k + x.size + 1))
         every[:, :k] = -moved.T
         every[:, k + self._offsets.start : k + self._offsets.stop] = np.eye(m)
-        every[:, -1] = -x[self._offsets]
+        every[:, -1] = -(x - self.mean)[self._offsets]
         every /= self.std[self._offsets][:, None]
         return every.T @ every
 

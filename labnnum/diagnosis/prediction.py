@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
-from labnnum.diagnosis.objective import Problem
+from labnnum.diagnosis.objective import Problem, frequency_spread
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.search import broaden
@@ -71,6 +71,7 @@ def predicted(engine: Engine, made: Fit, frf: Frf) -> NDArray[np.complex128]:
     point = made.point
     if [c.name for c in frf.inputs] != [c.name for c in engine.inputs] or len(frf.outputs) != len(engine.outputs):
         other = Engine(engine.structure, frf.outputs, frf.inputs, engine.band)
+        other.refine(engine.finer)
         terms, values = _carried_over(engine, other, made)
         point = replace(point, terms=values, size=np.zeros_like(point.size))
         return other.response(point, terms, s).value
@@ -105,10 +106,10 @@ def trimmed(engine: Engine, frf: Frf, made: Fit, scatter: Scatter) -> Fit:
     use = replace(scatter, trim=2.0, damping=2.0)
     data = data_of(frf, replace(scatter, floor=0.03))
     terms = _fixed(made)
-    none = np.zeros_like(made.point.shift)
-    starts = [made.point, replace(made.point, shift=none, size=none)]
+    plain = engine.start()
+    starts = [made.point, replace(made.point, shift=plain.shift, size=plain.size)]
     starts.append(replace(starts[1], theta=engine.theta0))
-    found = [replace(made, terms=terms, point=_within(made.point, use))]
+    found = [replace(made, terms=terms, point=_within(engine, made.point, use))]
     for start in starts:
         rough = start.vector()
         for kappa in (0.015, 0.004):
@@ -117,12 +118,10 @@ def trimmed(engine: Engine, frf: Frf, made: Fit, scatter: Scatter) -> Fit:
     return min(found, key=lambda f: relative_error(frf, predicted(engine, f, frf)))
 
 
-def _within(point: Point, use: Scatter) -> Point:
+def _within(engine: Engine, point: Point, use: Scatter) -> Point:
     """The point, its modal frequencies and loads within what a sound model needs."""
-    reach = use.trim * np.array([use.frequency, use.residue])
-    return replace(
-        point, shift=np.clip(point.shift, -reach[0], reach[0]), size=np.clip(point.size, -reach[1], reach[1])
-    )
+    middle, far, most = engine.start().shift, use.trim * frequency_spread(engine, use), use.trim * use.residue
+    return replace(point, shift=np.clip(point.shift, middle - far, middle + far), size=np.clip(point.size, -most, most))
 
 
 def _fixed(made: Fit) -> tuple[Term, ...]:

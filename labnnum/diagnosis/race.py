@@ -1,26 +1,42 @@
-"""The search for one more term: leads of both scores fitted one after another, the winner tried elsewhere, again."""
+"""The search for one more term: leads of both scores fitted, the best to the end, the winner tried elsewhere, again."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import changes_of
+from labnnum.diagnosis.fit import changes_of, fit
+from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.search import Lead, direction_score, grid_score, shortlist
 from labnnum.diagnosis.task import Candidate, Task, afresh, among, settled, winner_base
 from labnnum.errors import ModelError
 from labnnum.mechanisms.base import Place, Term
 
 
-class Race:
-    """Candidates for one more term, fitted one after another.
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A lead that joins a race at a rung of the ladder, None below the last, about a model that is not the race's."""
 
-    None is given up halfway: on sharp peaks the right one may stand a thousand times above the leader until its last
-    steps.
-    """
+    lead: Lead
+    rung: int | None = None
+    origin: Candidate | None = None
+
+
+KEPT = (8, 6, 5, 4)
+"""How many of those that are on a rung go on to the next, the last of these from every further one.
+
+On broadened peaks rivals can be told: of the winners of forty searches all but two, which gained little, were among
+the first four on the first rung. On the lines themselves the right one may stand a thousand times above the leader
+until its last steps, and none is given up there.
+"""
+
+
+class Race:
+    """Candidates for one more term, fitted."""
 
     def __init__(self, task: Task, before: Candidate) -> None:
         self.task, self.before = task, before
@@ -31,17 +47,50 @@ class Race:
         """The best so far."""
         return min(self.found, key=lambda c: c.cost)
 
-    def enter(self, lead: Lead, rung: int | None = None, origin: Candidate | None = None) -> None:
-        """Fit of the model before (at `origin`'s point) with the lead's term, down the ladder from `rung`."""
-        task, before = self.task, origin or self.before
-        terms = (*before.terms, lead.term.fitted)
-        old = afresh(task.engine, before) if rung == 0 else before.fit.point
-        x = replace(old, terms=np.concatenate([old.terms, lead.start])).vector()
-        rung = len(task.ladder) if rung is None else rung
+    def run(self, entries: Sequence[Entry]) -> None:
+        """Entries down the ladder from their rungs, of which the best go on from each, fitted to the thinned lines."""
+        task, on = self.task, []
+        for rung, level in enumerate(task.ladder):
+            on += [self._started(e) for e in entries if e.rung == rung]
+            fitted = [self._fitted(terms, x, level) for terms, x in on]
+            ranked = sorted((c for c in fitted if c is not None), key=lambda c: c.cost)
+            best = _different(ranked)[: KEPT[min(rung, len(KEPT) - 1)]]
+            on = [(c.terms, c.fit.point.vector()) for c in best]
+        on += [self._started(e) for e in entries if e.rung is None]
+        for terms, x in on:
+            made = self._fitted(terms, x, None)
+            self.found += [] if made is None else [made]
+
+    def _started(self, entry: Entry) -> tuple[tuple[Term, ...], NDArray[np.float64]]:
+        """The model before (at the origin's point) with the lead's term, and where its fit starts."""
+        before = entry.origin or self.before
+        old = afresh(self.task.engine, before) if entry.rung == 0 else before.fit.point
+        x = replace(old, terms=np.concatenate([old.terms, entry.lead.start])).vector()
+        return (*before.terms, entry.lead.term.fitted), x
+
+    def _fitted(self, terms: tuple[Term, ...], x: NDArray, level: Data | None) -> Candidate | None:
+        """Fitted to one level of the ladder, or to the thinned lines; None from a start that the model cannot hold,
+        such as a mass below nothing.
+        """
+        task = self.task
         try:
-            self.found.append(task.priced(terms, task.down(terms, x, rung)))
+            if level is None:
+                goal = self.leader.fit.objective if self.found else None
+                made = fit(task.engine, task.coarse, terms, task.scatter, x, steps=20, goal=goal)
+            else:
+                made = task.rough(terms, x, level)
         except ModelError:
-            return  # a start that the model cannot hold, such as a mass below nothing
+            return None
+        return task.priced(terms, made, level or task.coarse)
+
+
+def _different(ranked: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates, best first, without those that ended where a better one of the same term did."""
+    out: list[Candidate] = []
+    for c in ranked:
+        if not any(c.last is o.last and c.cost - o.cost < 1e-3 * o.cost + 0.5 for o in out):
+            out.append(c)
+    return out
 
 
 def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -> list[Candidate]:
@@ -53,24 +102,19 @@ def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -
     rough = shortlist(grid_score(engine, task.ladder[0], task.wide, terms, nominal, before.terms), width, task.counts)
     middle = grid_score(engine, task.ladder[1], task.wide, terms, x, before.terms) if task.counts else []
     race = Race(task, before)
-    for lead in rough:
-        race.enter(lead, 0)
-    for lead in shortlist(middle, 4, task.counts):
-        race.enter(lead, 1)
-    for lead in (*fine, *(_faint(x) for x in fine[:3])):
-        race.enter(lead)
-    done_with = bool(race.found) and settled(race.leader.fit, task.coarse, task.limits)
-    for lead in () if done_with else (x for x in rough[:4] if x.term.n in (1, 2, 3)):
-        for p in lead.others[: lead.term.n + 1]:  # the more parameters, the more starts
-            race.enter(replace(lead, start=p), 0)
-            race.enter(replace(lead, start=p), 2)
+    leads = [Entry(lead, 0) for lead in rough] + [Entry(lead, 1) for lead in shortlist(middle, 4, task.counts)]
+    race.run([*leads, *(Entry(lead) for lead in (*fine, *(_faint(x) for x in fine[:3])))])
+    if not race.found or not settled(race.leader.fit, task.coarse, task.limits):
+        again = [x for x in rough[:4] if x.term.n in (1, 2, 3)]  # the more parameters, the more starts
+        starts = [replace(lead, start=p) for lead in again for p in lead.others[: lead.term.n + 1]]
+        race.run([Entry(lead, rung) for lead in starts for rung in (0, 2)])
     if race.found:
         done = {id(c.last) for c in race.found if c.cost < before.cost}
         _elsewhere(race, terms, done)
         if task.counts:
             _otherwise(race, terms)
             _again(race, terms, done)
-    ahead = among([c for c in race.found if not shadows(engine, c)], ())[: width + 1]
+    ahead = among([c for c in race.found if not shadows(engine, c)], ())[: width // 2 + 1]
     return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
@@ -104,11 +148,9 @@ def _otherwise(race: Race, terms: Sequence[Term], n: int = 4) -> None:
         return
     nominal = afresh(task.engine, before).vector()
     leads = grid_score(task.engine, task.ladder[0], task.wide, kin, nominal, before.terms)
-    for lead in sorted(leads, key=lambda lead: -lead.gain)[:n]:
-        for p in (lead.start, *lead.others):
-            race.enter(replace(lead, start=p), 0)
-            if lead.term.n > 1:
-                race.enter(replace(lead, start=p), 2)
+    best = sorted(leads, key=lambda lead: -lead.gain)[:n]
+    starts = [replace(lead, start=p) for lead in best for p in (lead.start, *lead.others)]
+    race.run([Entry(lead, rung) for lead in starts for rung in (0, 2)[: min(lead.term.n, 2)]])
 
 
 def _elsewhere(race: Race, terms: Sequence[Term], done: set[int], n: int = 4) -> None:
@@ -131,8 +173,9 @@ def _elsewhere(race: Race, terms: Sequence[Term], done: set[int], n: int = 4) ->
     origin = winner_base(before, winner)
     x = origin.fit.point.vector()
     own = {(str(t.place), t.variant): t for t in kin}
-    for lead in shortlist(grid_score(task.engine, task.coarse, task.scatter, sized, x, before.terms), n):
-        race.enter(Lead(own[str(lead.term.place), lead.term.variant], lead.start, lead.gain), None, origin)
+    leads = shortlist(grid_score(task.engine, task.coarse, task.scatter, sized, x, before.terms), n)
+    leads = [Lead(own[str(lead.term.place), lead.term.variant], lead.start, lead.gain) for lead in leads]
+    race.run([Entry(lead, None, origin) for lead in leads])
 
 
 def _again(race: Race, terms: Sequence[Term], done: set[int], n: int = 5) -> None:
@@ -144,12 +187,9 @@ def _again(race: Race, terms: Sequence[Term], done: set[int], n: int = 5) -> Non
     leads = one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))
     here = [lead for lead in leads if lead.term.place.touches(winner.last.place)][:n]
     away = [lead for lead in leads if lead not in here and id(lead.term.fitted) not in done][: n - 1]
-    for lead in (*here, *away):
-        race.enter(lead, 2, origin)
-    for lead in (x for x in here if x.term.n > 1):
-        for p in lead.others:
-            race.enter(replace(lead, start=p), 2, origin)
-            race.enter(replace(lead, start=p), None, origin)
+    starts = [replace(lead, start=p) for lead in here if lead.term.n > 1 for p in lead.others]
+    entries = [Entry(lead, 2, origin) for lead in (*here, *away)]
+    race.run([*entries, *(Entry(lead, rung, origin) for lead in starts for rung in (2, None))])
 
 
 def one_each(leads: Sequence[Lead]) -> list[Lead]:

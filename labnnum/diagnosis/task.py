@@ -115,8 +115,12 @@ class Task:
         """Fit the broadened data from rung `first` to the finest, then the thinned lines."""
         rough = x
         for level in self.ladder[first:]:
-            rough = fit(self.engine, level, terms, self.wide, rough, steps=8, tolerance=1.0).point.vector()
+            rough = self.rough(terms, rough, level).point.vector()
         return fit(self.engine, self.coarse, terms, self.scatter, rough, steps=20 if terms else 40)
+
+    def rough(self, terms: Sequence[Term], x: NDArray, level: Data) -> Fit:
+        """A few steps on one rung, all errors as large as they may be."""
+        return fit(self.engine, level, terms, self.wide, x, steps=8, tolerance=1.0)
 
     def errors_on(self, level: Data) -> Scatter:
         """The ordinary errors that go with the lines themselves, or with one of the broadened data."""
@@ -128,18 +132,20 @@ class Task:
             return made
         return fit(self.engine, self.data, made.terms, self.scatter, made.point.vector(), steps=steps)
 
-    def priced(self, terms: tuple[Term, ...], made: Fit) -> Candidate:
-        """The fit as a candidate: its objective plus the price of its terms' parameters."""
+    def priced(self, terms: tuple[Term, ...], made: Fit, data: Data | None = None) -> Candidate:
+        """The fit (to `data` if given, else to all lines) as a candidate: its objective plus the price of its terms'
+        parameters.
+        """
         places = 2.0 * sum(np.log(self.counts.get(t.mechanism.id, 1)) for t in terms)
-        given_up = self._given_up(terms, made)
+        given_up = self._given_up(terms, made, data or self.data)
         own = self.limits.parameter * sum(count(t) for t in terms)
         return Candidate(terms, made, made.objective + own + places + given_up)
 
-    def _given_up(self, terms: Sequence[Term], made: Fit) -> float:
+    def _given_up(self, terms: Sequence[Term], made: Fit, data: Data) -> float:
         """What the rows of channels that a term gives up would cost if they fitted as the others do, or their noise."""
         n_o, n_i = len(self.engine.outputs), len(self.engine.inputs)
         share = sum(1 / n_o if t.data["dropped"] < n_o else 1 / n_i for t in terms if "dropped" in t.data)
-        return max(made.data_part / (1 - share), 2.0 * self.data.value.size) * share if share else 0.0
+        return max(made.data_part / (1 - share), 2.0 * data.value.size) * share if share else 0.0
 
 
 OFF = 4.0

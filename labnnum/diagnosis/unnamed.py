@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from labnnum.diagnosis.race import Race, one_each, shadows, stage_of
+import numpy as np
+
+from labnnum.diagnosis.race import Entry, Race, one_each, shadows, stage_of
 from labnnum.diagnosis.scatter import Data
-from labnnum.diagnosis.search import grid_score, subspace_score
+from labnnum.diagnosis.search import Lead, grid_score, subspace_score
 from labnnum.diagnosis.task import Candidate, Task, afresh, among, settled, winner_base
 from labnnum.diagnosis.verdict import Limits
 from labnnum.mechanisms.base import Term
@@ -36,24 +38,21 @@ def _surveyed(task: Task, laws: Sequence[Term], base: Candidate, each: int = 3, 
     x = base.fit.point.vector()
     nominal = afresh(task.engine, base).vector()
     levels = [(0, task.ladder[0], nominal), (1, task.ladder[1], x), (2, task.ladder[2], x), (None, task.coarse, x)]
-    race = Race(task, base)
+    race, entries = Race(task, base), []
     for rung, level, at in levels:
         leads = subspace_score(task.engine, level, task.errors_on(level), laws, at, base.terms)
-        for lead in sorted(leads, key=lambda lead: -lead.gain)[:each]:
-            race.enter(lead, rung)
+        entries += [Entry(lead, rung) for lead in sorted(leads, key=lambda lead: -lead.gain)[:each]]
+    race.run(entries)
     ahead = among(race.found, ())[:n]
     return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
 def _loosened(task: Task, loose: Sequence[Term], base: Candidate, n: int = 2) -> list[Candidate]:
     """Terms without parameters, each fitted from the base and afresh: the base may have bent to what they excuse."""
-    found = []
-    nominal = afresh(task.engine, base).vector()
-    for term in loose:
-        terms = (*base.terms, term)
-        made = [task.down(terms, base.fit.point.vector(), len(task.ladder)), task.down(terms, nominal)]
-        found.append(task.priced(terms, min(made, key=lambda f: f.objective)))
-    best = sorted(found, key=lambda c: c.cost)[:n]
+    race = Race(task, base)
+    leads = [Lead(term, np.zeros(0), 0.0) for term in loose]
+    race.run([Entry(lead, rung) for lead in leads for rung in (0, None)])
+    best = among(race.found, ())[:n]
     return [task.priced(c.terms, task.refined(c.fit)) for c in best]
 
 
@@ -68,11 +67,12 @@ def told_by(task: Task, terms: Sequence[Term], before: Candidate, law: Candidate
         return []
     race, origin = Race(task, before), winner_base(before, law)
     x = origin.fit.point.vector()
-    for level in (task.coarse, task.ladder[2]):
+    entries = []
+    for rung, level in ((None, task.coarse), (2, task.ladder[2])):
         leads = grid_score(task.engine, level, task.errors_on(level), here, x, before.terms)
         for lead in one_each(sorted(leads, key=lambda lead: -(lead.gain - 3.0 * lead.term.n)))[:5]:
-            for p in (lead.start, *lead.others[:1]):
-                race.enter(replace(lead, start=p), None if level is task.coarse else 2, origin)
+            entries += [Entry(replace(lead, start=p), rung, origin) for p in (lead.start, *lead.others[:1])]
+    race.run(entries)
     ahead = sorted(race.found, key=lambda c: c.cost)[:3]
     return [task.priced(c.terms, task.refined(c.fit)) for c in ahead if not shadows(task.engine, c)]
 
