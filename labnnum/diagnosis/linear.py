@@ -154,19 +154,20 @@ def select(
     ladder = tuple(broaden(engine, data, start, held, k) for k in LADDER)
     counts = Counter(t.mechanism.id for t in terms)
     coarse = thin(data, data.s.size * 2 // 5)
-    task = Task(engine, data, coarse, (*ladder, coarse), scatter, scatter, limits, counts)
+    by_hand = len(frf.inputs) > len(frf.outputs)
+    told_apart = measured_noise and not by_hand  # else noise, or where each hit went, hides how large errors are
+    task = Task(engine, data, coarse, (*ladder, coarse), scatter, scatter, limits, counts, told_apart)
     if not measured_noise:
         progress("estimating the noise")
         data = with_noise_found(task, held, start)
         task = replace(task, data=data, coarse=thin(data, data.s.size * 2 // 5))
     progress("fitting the model as it is")
     base = base_fit(task, held, start)
-    given, by_hand = data, len(frf.inputs) > len(frf.outputs)
-    told_apart = measured_noise and not by_hand  # else noise, or where each hit went, hides how large errors are
+    given = data
     if told_apart:
         task = sharper(task, lines, data, base, explained=False)
         data = task.data
-        base = settle_mesh(task, base)
+    base = settle_mesh(task, base)
     chain = [Candidate(held, base, base.objective)]
     stages: list[tuple[Candidate, ...]] = []
     law: Candidate | None = None

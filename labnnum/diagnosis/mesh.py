@@ -19,6 +19,9 @@ ALIKE = 0.2
 FINE = 5e-4
 """Relative change of every frequency below which a mesh is fine enough."""
 
+SPANNED = 0.02
+"""Part of a deflection's mass below which the structure's own coordinates hold it already."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Bending:
@@ -59,8 +62,10 @@ class Inside:
             mass, stiffness = element_matrices(Constants(one.stiffness, heavy, np.inf, 0.0), one.length)
             rows.append(mass[4, :4] @ one.ends)
             own.append((stiffness[4, 4], mass[4, 4]))
-        n = len(site.mass)
-        return cls(np.array(rows).reshape(-1, n), *np.array(own, float).reshape(-1, 2).T)
+        rows, own = np.array(rows).reshape(-1, len(site.mass)), np.array(own, float).reshape(-1, 2)
+        left = own[:, 1] - np.einsum("en,ne->e", rows, np.linalg.solve(site.mass, rows.T))
+        new = left > SPANNED * own[:, 1]
+        return cls(rows[new], *own[new].T)
 
     def taken(self, s: NDArray, motions: NDArray, modes: NDArray, d: NDArray) -> NDArray[np.complex128]:
         """What is taken off the dynamic stiffness between `motions` (n, k), (n_s, k, k), where the modes that `modes`

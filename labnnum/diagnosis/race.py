@@ -31,7 +31,8 @@ KEPT = (8, 6, 5, 4)
 
 On broadened peaks rivals can be told: of the winners of forty searches all but two, which gained little, were among
 the first four on the first rung. On the lines themselves the right one may stand a thousand times above the leader
-until its last steps, and none is given up there.
+until its last steps, and none is given up there. Nor is one where noise, or where each hit went, hides how large
+errors are: shear in a free beam, whose FRFs came without their noise, is last on the first rung and best in the end.
 """
 
 
@@ -54,7 +55,7 @@ class Race:
             on += [self._started(e) for e in entries if e.rung == rung]
             fitted = [self._fitted(terms, x, level) for terms, x in on]
             ranked = sorted((c for c in fitted if c is not None), key=lambda c: c.cost)
-            best = _different(ranked)[: KEPT[min(rung, len(KEPT) - 1)]]
+            best = _different(ranked)[: KEPT[min(rung, len(KEPT) - 1)] if task.ranked else None]
             on = [(c.terms, c.fit.point.vector()) for c in best]
         on += [self._started(e) for e in entries if e.rung is None]
         for terms, x in on:

@@ -110,6 +110,8 @@ class Task:
     limits: Limits
     counts: Mapping[str, int] = field(default_factory=dict)
     """How many terms each mechanism has: a name that may act in many places matches by chance more often."""
+    ranked: bool = True
+    """Whether rivals are told on broadened data, whose errors are known."""
 
     def down(self, terms: Sequence[Term], x: NDArray, first: int = 0) -> Fit:
         """Fit the broadened data from rung `first` to the finest, then the thinned lines."""
