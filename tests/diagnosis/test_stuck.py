@@ -7,11 +7,11 @@ import pytest
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Bench
+from labnnum.diagnosis.nonlinear.bounds import linear_least
 from labnnum.diagnosis.nonlinear.discrete import feedback
 from labnnum.diagnosis.nonlinear.explore import engine_start, looked
 from labnnum.diagnosis.nonlinear.locate import spots
 from labnnum.diagnosis.nonlinear.march import CODES
-from labnnum.diagnosis.nonlinear.merge import linear_least
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import Prospect
-from labnnum.diagnosis.nonlinear.fitting import Made
+from labnnum.diagnosis.nonlinear.fitting import Made, told_apart
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import scale_std
@@ -106,8 +106,8 @@ def decide(
     base, last = found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if t.named and not t.same(best)]
-    equals = [t.cost for t in rivals if t.simulated and not _only_smoother(t, best)]
-    lead = (min(equals) - best.cost) / excess if equals else np.inf
+    against = [t for t in rivals if t.simulated and not _only_smoother(t, best)]
+    lead = (min(t.cost for t in against) - best.cost) / excess if against else np.inf
     total = (base.objective * best.made.count / base.count - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count
     general = _level(found.general, last) if found.general is not None else np.inf
@@ -129,7 +129,7 @@ def decide(
         reason = NAMELESS
     elif behind > max(limits.alarm, HALF * left) and not (nearly and enough > NEARLY):
         reason = GENERAL
-    elif lead < limits.name:
+    elif lead < limits.name or (misfit > limits.misfit and any(told_apart(best.made, t.made) < TOLD for t in against)):
         reason = EQUAL
     sure = not reason or reason in (*FOUND, EQUAL)
     if sure and extended_error[1] > limits.improve * base_error[1] and extended_error[1] > 3 * noise:
@@ -204,6 +204,9 @@ HALF = 0.5
 """Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
 MOST = 2
 """Different laws, or places, that are named together."""
+TOLD = 2.0
+"""Standard deviations by which a name must lead where it leaves more than noise: a lead in chi-square counts what
+neighbouring lines have wrong together as if each had it by itself."""
 LITTLE = 0.3
 """Part of the base's objective above which a fit that has no name says nothing of the place."""
 MISFIT = 3.0
