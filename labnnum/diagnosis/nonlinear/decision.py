@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
-from labnnum.diagnosis.nonlinear.explore import Prospect
+from labnnum.diagnosis.nonlinear.explore import GAINS, Prospect
 from labnnum.diagnosis.nonlinear.fitting import Made, told_apart
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.run import Run
@@ -79,8 +79,6 @@ FOUND = (NAMELESS, GENERAL)
 """Reasons for which nothing is named although nonlinear physics is certain, and at its place."""
 USELESS = "the best nonlinear law does not improve the prediction of data held out"
 """The reason where distortion stands above the noise, and no law helps to predict."""
-GAINS = 0.9
-"""Part of the base's held-out error below which a law must bring it, however near the noise that is."""
 
 
 def decide(
