@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import GAINS, Prospect
-from labnnum.diagnosis.nonlinear.fitting import Made, told_apart
+from labnnum.diagnosis.nonlinear.fitting import GROUPS, Made
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import scale_std
@@ -105,12 +105,15 @@ def decide(
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if t.named and not t.same(best)]
     against = [t for t in rivals if t.simulated and not _only_smoother(t, best)]
-    lead = (min(t.cost for t in against) - best.cost) / excess if against else np.inf
+    nearest = min((t.cost for t in against), default=np.inf)
+    lead = (nearest - best.cost) / excess
     total = (base.objective * best.made.count / base.count - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count
     general = _level(found.general, last) if found.general is not None else np.inf
     behind = (last.cost - general) / max(1.0, misfit)
     left = (last.made.data_part - last.made.count) / max(1.0, misfit)
+    if misfit > limits.misfit:  # what is left is no noise, and wrong alike at neighbouring lines
+        lead = min(lead, GROUPS * float(np.log(nearest / best.cost)))
     joint, made = settled_on(found, last, train, test, scatter)
     x, orbits = made
     plain = found.base.x if enough == NEARLY else found.quiet.x
@@ -127,7 +130,7 @@ def decide(
         reason = NAMELESS
     elif behind > max(limits.alarm, HALF * left) and not (nearly and enough > NEARLY):
         reason = GENERAL
-    elif lead < limits.name or (misfit > limits.misfit and any(told_apart(best.made, t.made) < TOLD for t in against)):
+    elif lead < limits.name:
         reason = EQUAL
     sure = not reason or reason in (*FOUND, EQUAL)
     if sure and extended_error[1] > limits.improve * base_error[1] and extended_error[1] > 3 * noise:
@@ -202,9 +205,6 @@ HALF = 0.5
 """Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
 MOST = 2
 """Different laws, or places, that are named together."""
-TOLD = 2.0
-"""Standard deviations by which a name must lead where it leaves more than noise: a lead in chi-square counts what
-neighbouring lines have wrong together as if each had it by itself."""
 LITTLE = 0.3
 """Part of the base's objective above which a fit that has no name says nothing of the place."""
 MISFIT = 3.0

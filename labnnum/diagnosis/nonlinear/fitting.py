@@ -32,8 +32,6 @@ class Made:
     bare: int
     count: int
     converged: bool
-    shares: NDArray[np.float64]
-    """The data part by groups of neighbouring lines, (GROUPS,)."""
 
     def law(self, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Parameters of the i-th law and their standard deviations."""
@@ -122,7 +120,6 @@ def fit(
         joint.n_base - joint.k * joint.engine.band_modes.size,
         int(r.size),
         converged,
-        _shares(joint, r, b),
     )
 
 
@@ -143,22 +140,6 @@ def _left(r: NDArray, b: NDArray) -> NDArray[np.float64]:
     gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1])
     inner = np.linalg.solve(gram, np.matmul(b, r[..., None]))
     return r - np.matmul(b.transpose(0, 2, 1), inner)[..., 0]
-
-
-def _shares(joint: Joint, r: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """The data part by groups, (GROUPS,)."""
-    return np.bincount(_groups(joint), np.sum(r * _left(r, b), axis=0), GROUPS)
-
-
-def told_apart(one: Made, other: Made) -> float:
-    """By how many standard deviations `other` leaves more than `one`, neighbouring lines being wrong together.
-
-    The difference of two objectives that are not nested, over its own deviation (Vuong, 1989, Econometrica 57,
-    307-333), which is taken from how it scatters over groups of lines.
-    """
-    each = other.shares * (one.count / other.count) - one.shares
-    whole = float(np.sum(each)) + other.prior_part - one.prior_part
-    return whole / max(float(np.sqrt(each.size) * np.std(each)), 1e-300)
 
 
 def _together(

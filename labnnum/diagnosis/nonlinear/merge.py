@@ -108,7 +108,7 @@ def nonlinear_first(
         linear = (
             not found.gained and change is not None and change < CHANGE
         )  # it rings, perhaps, or the shaker distorts
-        if plain.named or sound or linear:
+        if not useless and (plain.named or sound or linear):
             return plain
         if not gate.named and (found.misfit > MISFIT or not found.gained):
             # what such a law leaves is no linear structure either, or what there was before
