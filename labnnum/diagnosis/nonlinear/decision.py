@@ -119,7 +119,8 @@ def decide(
     plain = found.base.x if enough == NEARLY else found.quiet.x
     base_error = base_errors(found, train, test, plain, scatter)
     extended_error = errors_of(joint, x, orbits, len(train))
-    nearly = extended_error[1] < enough * base_error[1]
+    bent = last.made.prior_part > BENT * last.made.n_base and enough == NEARLY
+    nearly = not bent and extended_error[1] < enough * base_error[1]
     reason = ""
     noise = noise_of(test or train)
     if total < limits.alarm and base_error[1] < max(limits.sound, 3 * noise):
@@ -205,6 +206,8 @@ HALF = 0.5
 """Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
 MOST = 2
 """Different laws, or places, that are named together."""
+BENT = 10.0
+"""Price of the base beside the laws, of its entries, above which that excuse does not hold: sound ones pay up to 2."""
 LITTLE = 0.3
 """Part of the base's objective above which a fit that has no name says nothing of the place."""
 MISFIT = 3.0

@@ -13,6 +13,7 @@ from labnnum.diagnosis.nonlinear.answer import answer
 from labnnum.diagnosis.nonlinear.beside import added_to, strained
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
 from labnnum.diagnosis.nonlinear.decision import (
+    EQUAL,
     FOUND,
     KNOWN,
     MISFIT,
@@ -117,7 +118,7 @@ def nonlinear_first(
         rest = again(observations, held_out, catalogue=())
         return merged(found, rest, gate.named, nonlinear_signs(observations), observations)
     progress("searching for linear physics beside it")
-    sure = bool(found.named) or found.reason in (KNOWN, *FOUND)
+    sure = bool(found.named) or found.reason in (KNOWN, EQUAL, *FOUND)
     explained = sure and found.misfit < EXPLAINED and found.lying is None
     near = found.misfit < MISFIT and found.lying is None
     hid = found.study.engine is not engine  # one mechanism kept the law from being named: that one is sought

@@ -207,7 +207,7 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     def fine(t: Tried) -> bool:
         return last if t.mechanism == "coulomb-friction" else t.made.terms[0].last or _coarse(t)
 
-    long = [fine(t) and not t.made.terms[0].last for t in kept]
+    long = [fine(t) and (_coarse(t) or not t.made.terms[0].last) for t in kept]
     done = [bench.carry_on(t, LONG if far else 4, last=fine(t)) for t, far in zip(kept, long, strict=True)]
     best = min(done, key=lambda t: t.cost)
     sure = bench.carry_on(best, 2, always=True, last=fine(best))
