@@ -105,15 +105,12 @@ def decide(
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if t.named and not t.same(best)]
     against = [t for t in rivals if t.simulated and not _only_smoother(t, best)]
-    nearest = min((t.cost for t in against), default=np.inf)
-    lead = (nearest - best.cost) / excess
     total = (base.objective * best.made.count / base.count - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count
     general = _level(found.general, last) if found.general is not None else np.inf
     behind = (last.cost - general) / max(1.0, misfit)
     left = (last.made.data_part - last.made.count) / max(1.0, misfit)
-    if misfit > limits.misfit:  # what is left is no noise, and wrong alike at neighbouring lines
-        lead = min(lead, GROUPS * float(np.log(nearest / best.cost)))
+    lead = lead_over(best.cost, min((t.cost for t in against), default=np.inf), excess, misfit > limits.misfit)
     joint, made = settled_on(found, last, train, test, scatter)
     x, orbits = made
     plain = found.base.x if enough == NEARLY else found.quiet.x
@@ -163,6 +160,16 @@ def decide(
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
         noise, gained, tuple(orbits), held_out=tuple(o.run for o in test if o.run is not None), scatter=scatter,
     )  # fmt: skip
+
+
+def lead_over(cost: float, other: float, excess: float, systematic: bool) -> float:
+    """Lead of one fit over another, in chi-square; `excess` is what the first leaves, per value.
+
+    Where what is left is no noise but `systematic`, it is wrong alike at neighbouring lines: a group of lines then
+    counts as one value whose size of error nobody knows.
+    """
+    lead = (other - cost) / excess
+    return min(lead, GROUPS * float(np.log(other / cost))) if systematic else lead
 
 
 def unsimulated(
