@@ -110,7 +110,8 @@ def decide(
     general = _level(found.general, last) if found.general is not None else np.inf
     behind = (last.cost - general) / max(1.0, misfit)
     left = (last.made.data_part - last.made.count) / max(1.0, misfit)
-    lead = lead_over(best.cost, min((t.cost for t in against), default=np.inf), excess, misfit > limits.misfit)
+    systematic = misfit > limits.misfit and enough == NEARLY
+    lead = lead_over(best.cost, min((t.cost for t in against), default=np.inf), excess, systematic)
     joint, made = settled_on(found, last, train, test, scatter)
     x, orbits = made
     plain = found.base.x if enough == NEARLY else found.quiet.x

@@ -122,7 +122,7 @@ def nonlinear_first(
     explained = sure and found.misfit < EXPLAINED and found.lying is None
     near = found.misfit < MISFIT and found.lying is None
     hid = found.study.engine is not engine  # one mechanism kept the law from being named: that one is sought
-    own = sure and not hid and found.lying is None  # the search begins with what the law leaves
+    own = sure and not (hid or nearly) and found.lying is None  # the search begins with what the law leaves
     spent = explained or (own and hopeless_beside(found, scatter, limits))
     kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
     rest = again(found.linearised, found.linearised_held_out, **kind)

@@ -35,7 +35,8 @@ def search(
     """
     progress("fitting nonlinear laws")
     bench = seen.bench
-    tried = with_rounded(bench, simulated(bench, seen.near))
+    tried = simulated(bench, seen.near, suspicious=not unsure)
+    tried = tried if unsure else with_rounded(bench, tried)
     if unsure and seen.leads:
         top = max(lead.gain for lead in seen.leads)
         some = [lead for lead in seen.leads if lead.gain > PROMISING * top and lead.mechanism != "hysteresis"]
@@ -78,8 +79,10 @@ CLOSE = 1.5
 """Cost, of the least, below which a follow may turn out better when it is simulated."""
 
 
-def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
-    """The follows that came nearest fitted by simulation, then the others as they are."""
+def simulated(bench: Bench, near: Sequence[Tried], *, suspicious: bool = True) -> list[Tried]:
+    """The follows that came nearest fitted by simulation, then the others as they are; `suspicious` of coarse steps
+    where a simulation leaves too much.
+    """
     out: list[Tried] = []
     best = np.inf
     again = 0
@@ -96,7 +99,7 @@ def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
         one = t if t.simulated else bench.simulate(t, LONG)
         if one is None:
             continue
-        if _coarse(one) and again < FINELY and one.cost < CLOSE * min(best, one.cost):
+        if suspicious and _coarse(one) and again < FINELY and (t.simulated or t.cost < AGREES * one.cost):
             again += 1
             one = finely(bench, t, one)
         out.append(one)
@@ -106,8 +109,9 @@ def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
     return sorted(out, key=lambda t: t.cost)
 
 
-FINELY = 2
-"""Laws with corners that leave too much, of those that are simulated, which are simulated with finer steps too."""
+FINELY, AGREES = 2, 0.5
+"""Laws with corners that leave too much, of those that are simulated, which are simulated with finer steps too; and the
+part of what a simulation leaves below which the motion that is measured says that the law explains more."""
 
 
 def finely(bench: Bench, t: Tried, one: Tried) -> Tried:
@@ -203,9 +207,10 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     kept = [t for i, t in enumerate(kept) if t not in kept[:i] and (t is shown[0] or t.cost < limit)]
     base = study.base.data_part / study.base.count
     last = shown[0].made.data_part < FINER * base * shown[0].made.count
+    finer = any(t.made.terms[0].last for t in kept)  # then all that are compared with it
 
     def fine(t: Tried) -> bool:
-        return last if t.mechanism == "coulomb-friction" else t.made.terms[0].last or _coarse(t)
+        return last if t.mechanism == "coulomb-friction" else finer
 
     long = [fine(t) and (_coarse(t) or not t.made.terms[0].last) for t in kept]
     done = [bench.carry_on(t, LONG if far else 4, last=fine(t)) for t, far in zip(kept, long, strict=True)]
