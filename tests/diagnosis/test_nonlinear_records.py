@@ -117,6 +117,18 @@ def test_a_sweep_holds_out_lines():
     assert 0.2 < held.compared.sum() / own.inside.sum() < 0.3
 
 
+def test_lines_of_a_sweep_are_compared_where_the_input_holds_their_neighbours():
+    """Through a Hann window a line holds its neighbours, and what the input had outside its band is taken as none."""
+    n = 8192
+    t = np.arange(n) / RATE
+    force = 5.0 * np.sin(2 * np.pi * (1.0 * t + 2.0 * t**2 / t[-1])) * np.hanning(n) ** 0.1
+    run = stretch_of(recorded(force, []), 0, n)
+    at = np.flatnonzero(run.compared)
+    assert at.size > 100
+    assert np.all(run.u[at - 1] != 0)
+    assert np.all(run.u[at + 1] != 0)
+
+
 def test_with_two_inputs_at_once_nothing_is_told():
     rows = []
     for level, seed in ((5.0, 1), (25.0, 2)):

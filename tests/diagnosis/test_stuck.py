@@ -7,18 +7,33 @@ import pytest
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Bench
+from labnnum.diagnosis.nonlinear.bounds import frf_least, linear_least
+from labnnum.diagnosis.nonlinear.decision import lead_over
 from labnnum.diagnosis.nonlinear.discrete import feedback
 from labnnum.diagnosis.nonlinear.explore import engine_start, looked
+from labnnum.diagnosis.nonlinear.fitting import GROUPS
 from labnnum.diagnosis.nonlinear.locate import spots
 from labnnum.diagnosis.nonlinear.march import CODES
-from labnnum.diagnosis.nonlinear.merge import linear_least
+from labnnum.diagnosis.nonlinear.problem import Acting, _fine
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.nonlinear.stuck import beside_spring, quiet_data, stuck
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.nonlinear import Element
-from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, PERIOD, RATE, chain, joint_23, multisine, runs, steady
+from tests.diagnosis.test_nonlinear import (
+    FORCE,
+    OUTPUTS,
+    PERIOD,
+    RATE,
+    chain,
+    joint_23,
+    lines_of,
+    marched,
+    multisine,
+    runs,
+    steady,
+)
 
 STIFF = 4e3
 """Four times the links of the chain."""
@@ -45,8 +60,12 @@ def test_weak_laws_need_no_feedback():
     assert orbit.fed is None
 
 
+def _observed(element, levels):
+    return sorted(runs([element], chain(), levels), key=lambda o: o.level)[::2]
+
+
 def _bench(element, levels):
-    observations = sorted(runs([element], chain(), levels), key=lambda o: o.level)[::2]
+    observations = _observed(element, levels)
     structure, band = chain(), (0.5, 12.0)
     engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * band[0], 2 * np.pi * band[1]))
     made = [o.run for o in observations if o.run is not None]
@@ -83,3 +102,47 @@ def test_a_run_of_its_own_says_nothing_of_levels():
     spectrum = multisine(1.0, 1)
     run = Run(RATE, PERIOD, spectrum, none.astype(np.complex128), none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
     assert linear_least([run], Scatter()) == 0.0
+
+
+def test_nor_of_frfs_that_do():
+    chi, relative = frf_least(_observed(Element("cubic", joint_23(), (3e4,)), (1.0, 3.0, 9.0)), Scatter())
+    assert chi > 10.0
+    assert relative > 0.01
+    quiet = _observed(Element("cubic", joint_23(), (1e-3,)), (1.0, 3.0, 9.0))
+    chi, least = frf_least(quiet, Scatter())
+    assert chi < 1.5
+    assert least < 0.2 * relative
+    assert frf_least(quiet[:1], Scatter()) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "p", "other", "q"),
+    [
+        ("clearance", (4000.0, 0.005), "clearance", (4000.0, 0.005)),
+        ("hysteresis", (3000.0, 0.005, 1.0, 0.6), "bouc-wen", (3000.0, 0.6 / 0.005, 0.4 / 0.005, 1.0)),
+    ],
+)
+def test_finer_steps_bring_strong_corners_near_the_truth(law, p, other, q):
+    """Against the bench's own march: by a half at least, which is what the last fit's steps are finer by."""
+    structure, spectrum = chain(), multisine(25.0, 1)
+    truth = lines_of(marched(spectrum, [Element(other, joint_23(), q)], structure))
+    base, coarse, parameters = steady(structure, spectrum, law, p)
+    r = base.at(base.start())
+    wrong = []
+    for fine in (_fine(coarse.run, [_acting(law, last)]) for last in (False, True)):
+        solver = Steady(coarse.run, coarse.codes, fine)
+        orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 40, 1e-6)
+        made = r.lift * (r.plain * spectrum + (r.h * orbit.force).sum(axis=1))
+        wrong.append(np.linalg.norm((made - truth)[:, 7:150]) / np.linalg.norm(truth[:, 7:150]))
+    assert wrong[1] < 0.5 * wrong[0]
+
+
+def _acting(law, last):
+    return Acting(law, joint_23(), np.ones(10), last)
+
+
+def test_leads_of_what_is_no_noise_count_groups_of_lines():
+    assert lead_over(20000.0, 20600.0, 20.0, False) == pytest.approx(30.0)
+    assert lead_over(20000.0, 20600.0, 20.0, True) == pytest.approx(GROUPS * np.log(1.03))
+    assert lead_over(20000.0, 60000.0, 20.0, True) > 40.0
+    assert lead_over(20000.0, np.inf, 20.0, True) == np.inf

@@ -98,6 +98,8 @@ def answer(
         )
 
     seen = explore(engine, point, runs, i, every, scatter, unnamed=not identified, progress=progress)
+    if seen is not None and doubted is None and not nearly and seen.idle:
+        return None
     if seen is not None and doubted is None and seen.nameless:
         return unsimulated(seen, train, test, scatter)
     believed: tuple[Observation, ...] = ()

@@ -100,9 +100,12 @@ class Bench:
         """The same carried on."""
         return self.follow(one.made.x[: one.made.n_base], of_fit(one), steps) or one
 
-    def simulate(self, one: Tried, steps: int) -> Tried | None:
-        """A law that was followed, fitted by simulation: from its force along the motion, or else from nothing."""
-        joint = self.joint([of_fit(one)])
+    def simulate(self, one: Tried, steps: int, *, last: bool = False) -> Tried | None:
+        """A law that was followed, fitted by simulation: from its force along the motion, or else from nothing; with
+        finer steps where it is the `last` fit.
+        """
+        terms = [replace(of_fit(one).acting(), last=last)]
+        joint = Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines)
         made = tried_fit(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
         return made or tried_fit(joint, one.made.x, [None] * len(self.runs), one.lead, steps)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import base_errors, errors_of, noise_of, settled_on
-from labnnum.diagnosis.nonlinear.explore import Prospect
-from labnnum.diagnosis.nonlinear.fitting import Made
+from labnnum.diagnosis.nonlinear.explore import GAINS, Prospect
+from labnnum.diagnosis.nonlinear.fitting import GROUPS, Made
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import scale_std
@@ -79,8 +79,6 @@ FOUND = (NAMELESS, GENERAL)
 """Reasons for which nothing is named although nonlinear physics is certain, and at its place."""
 USELESS = "the best nonlinear law does not improve the prediction of data held out"
 """The reason where distortion stands above the noise, and no law helps to predict."""
-GAINS = 0.9
-"""Part of the base's held-out error below which a law must bring it, however near the noise that is."""
 
 
 def decide(
@@ -106,19 +104,21 @@ def decide(
     base, last = found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if t.named and not t.same(best)]
-    equals = [t.cost for t in rivals if t.simulated and not _only_smoother(t, best)]
-    lead = (min(equals) - best.cost) / excess if equals else np.inf
+    against = [t for t in rivals if t.simulated and not _only_smoother(t, best)]
     total = (base.objective * best.made.count / base.count - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count
     general = _level(found.general, last) if found.general is not None else np.inf
     behind = (last.cost - general) / max(1.0, misfit)
     left = (last.made.data_part - last.made.count) / max(1.0, misfit)
+    systematic = misfit > limits.misfit and enough == NEARLY
+    lead = lead_over(best.cost, min((t.cost for t in against), default=np.inf), excess, systematic)
     joint, made = settled_on(found, last, train, test, scatter)
     x, orbits = made
     plain = found.base.x if enough == NEARLY else found.quiet.x
     base_error = base_errors(found, train, test, plain, scatter)
     extended_error = errors_of(joint, x, orbits, len(train))
-    nearly = extended_error[1] < enough * base_error[1]
+    bent = last.made.prior_part > BENT * last.made.n_base and enough == NEARLY
+    nearly = not bent and extended_error[1] < enough * base_error[1]
     reason = ""
     noise = noise_of(test or train)
     if total < limits.alarm and base_error[1] < max(limits.sound, 3 * noise):
@@ -163,6 +163,16 @@ def decide(
     )  # fmt: skip
 
 
+def lead_over(cost: float, other: float, excess: float, systematic: bool) -> float:
+    """Lead of one fit over another, in chi-square; `excess` is what the first leaves, per value.
+
+    Where what is left is no noise but `systematic`, it is wrong alike at neighbouring lines: a group of lines then
+    counts as one value whose size of error nobody knows.
+    """
+    lead = (other - cost) / excess
+    return min(lead, GROUPS * float(np.log(other / cost))) if systematic else lead
+
+
 def unsimulated(
     seen: Prospect, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter
 ) -> NonlinearAnswer:  # fmt: skip
@@ -204,6 +214,8 @@ HALF = 0.5
 """Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
 MOST = 2
 """Different laws, or places, that are named together."""
+BENT = 10.0
+"""Price of the base beside the laws, of its entries, above which that excuse does not hold: sound ones pay up to 2."""
 LITTLE = 0.3
 """Part of the base's objective above which a fit that has no name says nothing of the place."""
 MISFIT = 3.0

@@ -35,6 +35,11 @@ IDLE = 0.8
 """Part of the base's chi-square below which a law must come along the motion to be worth simulating,"""
 NOISY = 10.0
 """where chi-square per value is above this."""
+SOUND = 1.1
+"""Chi-square per value that a sound base leaves at most."""
+GAINS = 0.9
+"""Part of the base's error below which a law must bring it to be of use, held out or, of a sound base, along the
+motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +64,12 @@ class Prospect:
         best = self.near[0]
         whole = self.base.objective * best.made.count / self.base.count
         return best.cost > IDLE * whole and self.level > NOISY
+
+    @property
+    def idle(self) -> bool:
+        """Whether the base leaves no more than a sound one, and no law so much less that it would predict better."""
+        base = self.base.data_part / self.base.count
+        return base < SOUND and self.level > GAINS**2 * base
 
     @property
     def nameless(self) -> bool:

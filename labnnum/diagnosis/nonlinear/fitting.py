@@ -127,6 +127,21 @@ GROUPS = 40
 """Groups of neighbouring lines, all runs and responses together, that are wrong independently of each other."""
 
 
+def _groups(joint: Joint) -> NDArray[np.int64]:
+    """Group (N,) of each value of a response: neighbouring lines of all runs, as many values in each."""
+    frequency = np.concatenate(
+        [np.tile(a.at * run.rate / run.period, 2) for run, a in zip(joint.runs, joint.lines, strict=True)]
+    )
+    return np.searchsorted(np.quantile(frequency, np.linspace(0, 1, GROUPS + 1)[1:-1]), frequency)
+
+
+def _left(r: NDArray, b: NDArray) -> NDArray[np.float64]:
+    """Residuals r (n_out, N) without what the marginalised columns b explain of them."""
+    gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1])
+    inner = np.linalg.solve(gram, np.matmul(b, r[..., None]))
+    return r - np.matmul(b.transpose(0, 2, 1), inner)[..., 0]
+
+
 def _together(
     joint: Joint, jac: NDArray, r: NDArray, b: NDArray, inverse: NDArray, prior: NDArray, excess: float
 ) -> NDArray[np.float64]:  # fmt: skip
@@ -136,13 +151,9 @@ def _together(
     than one. The variance that follows from the sums of the gradient's parts over groups of lines (cluster-robust,
     Liang and Zeger 1986) is compared with `excess` times the one that takes all lines as independent.
     """
-    frequency = np.concatenate(
-        [np.tile(a.at * run.rate / run.period, 2) for run, a in zip(joint.runs, joint.lines, strict=True)]
-    )
-    edges = np.quantile(frequency, np.linspace(0, 1, GROUPS + 1)[1:-1])
-    group = np.searchsorted(edges, frequency)
+    group = _groups(joint)
     gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1])
-    left = r - np.matmul(b.transpose(0, 2, 1), np.linalg.solve(gram, np.matmul(b, r[..., None])))[..., 0]
+    left = _left(r, b)
     moved = jac - np.matmul(np.linalg.solve(gram, np.matmul(b, jac.transpose(0, 2, 1))).transpose(0, 2, 1), b)
     each = np.einsum("oxn,on->xn", moved, left)
     sums = np.array([each[:, group == g].sum(axis=1) for g in range(GROUPS)])

@@ -11,7 +11,9 @@ import numpy as np
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.answer import answer
 from labnnum.diagnosis.nonlinear.beside import added_to, strained
+from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
 from labnnum.diagnosis.nonlinear.decision import (
+    EQUAL,
     FOUND,
     KNOWN,
     MISFIT,
@@ -21,9 +23,7 @@ from labnnum.diagnosis.nonlinear.decision import (
     NonlinearAnswer,
 )
 from labnnum.diagnosis.nonlinear.detect import CHANGE
-from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead
-from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
@@ -96,9 +96,9 @@ def nonlinear_first(
             if second is not None and second.named and second.misfit < found.misfit:
                 found = second
     if not found.named and found.reason != KNOWN and found.reason not in FOUND:
-        hopeless = found.gained and linear_least(found.study.runs, scatter) > max(limits.misfit, found.misfit)
+        useless = hopeless(found, observations, scatter, limits)
         plain = again(
-            observations, held_out, **({"catalogue": ()} if hopeless else {})
+            observations, held_out, **({"catalogue": ()} if useless else {})
         )  # what one linear mechanism explains needs no law that has no name
         periodic = all(o.run is not None for o in train)
         small = found.base_error[1] < max(limits.sound, 3 * found.noise)
@@ -109,18 +109,23 @@ def nonlinear_first(
         linear = (
             not found.gained and change is not None and change < CHANGE
         )  # it rings, perhaps, or the shaker distorts
-        if plain.named or sound or linear:
+        if not useless and (plain.named or sound or linear):
             return plain
-        if found.misfit > MISFIT and not gate.named:  # what such a law leaves is no linear structure either
+        if not gate.named and (found.misfit > MISFIT or not found.gained):
+            # what such a law leaves is no linear structure either, or what there was before
             return merged(found, plain, (), nonlinear_signs(observations), observations)
     if not found.linearised:
         rest = again(observations, held_out, catalogue=())
         return merged(found, rest, gate.named, nonlinear_signs(observations), observations)
     progress("searching for linear physics beside it")
-    sure = bool(found.named) or found.reason in (KNOWN, *FOUND)
+    sure = bool(found.named) or found.reason in (KNOWN, EQUAL, *FOUND)
     explained = sure and found.misfit < EXPLAINED and found.lying is None
     near = found.misfit < MISFIT and found.lying is None
-    rest = again(found.linearised, found.linearised_held_out, **({"catalogue": ()} if explained else {"beside": near}))
+    hid = found.study.engine is not engine  # one mechanism kept the law from being named: that one is sought
+    own = sure and not (hid or nearly) and found.lying is None  # the search begins with what the law leaves
+    spent = explained or (own and hopeless_beside(found, scatter, limits))
+    kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
+    rest = again(found.linearised, found.linearised_held_out, **kind)
     if explained and rest.verdict not in ("consistent", "parameters"):
         rest = again(found.linearised, found.linearised_held_out)  # the law's errors excused what a channel has wrong
     periodic = all(o.run is not None for o in train)
@@ -141,28 +146,6 @@ def nonlinear_first(
             found = second
     signs = nonlinear_signs(observations)
     return merged(found, rest, gate.named, signs, observations)
-
-
-def linear_least(runs: Sequence[Run], scatter: Scatter) -> float:
-    """Chi-square per value that no linear model of any kind can fall below: what the best FRF of all runs together
-    leaves, line by line, and all that stands on lines that were not excited.
-
-    Zero for runs whose spectra are not those of one period, where an FRF of single lines says nothing.
-    """
-    groups = {r.key for r in runs}
-    if len(runs) < 2 or len(groups) > 1 or not all(r.lasting for r in runs):
-        return 0.0
-    lines = [choose_lines(r, 0, scatter.floor) for r in runs]
-    at = lines[0].at
-    if any(not np.array_equal(a.at, at) for a in lines):
-        return 0.0
-    u = np.array([np.where(r.excited[at], r.u[at], 0.0) for r in runs])[:, None]
-    y = np.array([r.y[:, at] for r in runs])
-    w = np.array([1.0 / a.sigma**2 for a in lines])
-    power = np.sum(w * np.abs(u) ** 2, axis=0)
-    h = np.where(power > 0, np.sum(w * np.conj(u) * y, axis=0) / np.maximum(power, 1e-300), 0.0)
-    left = float(np.sum(w * np.abs(y - h * u) ** 2))
-    return left / max(y.size - np.count_nonzero(power), 1)
 
 
 def _doubted(rest: Diagnosis, train: Sequence[Observation]) -> int | None:

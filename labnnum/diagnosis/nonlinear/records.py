@@ -149,7 +149,8 @@ def _made(recording: Recording, spectra: NDArray, n: int, decay: float, ends: bo
     at = np.flatnonzero(power > SILENT * power.max())
     driven = np.flatnonzero(power > (FAINT if decay else SILENT) * power.max())
     on = np.zeros(u.size, bool)
-    on[max(int(driven[0]), 1) : int(driven[-1]) + 1] = True
+    inside = (1, u.size - 1) if decay else (int(at[0]) + 1, int(at[-1]) - 1)  # with neighbours that the input holds too
+    on[max(int(driven[0]), inside[0]) : min(int(driven[-1]), inside[1]) + 1] = True
     u[int(at[-1]) + 1 :] = 0.0
     if ends:
         u[: int(at[0])] = 0.0  # noise alone, which a free structure would take far

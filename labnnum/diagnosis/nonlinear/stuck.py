@@ -32,6 +32,8 @@ FACTORS = (1.0, 2.0)
 recovered with errors makes a spring look softer."""
 LIMITS = (1.0, 1.4)
 """Limits of the slider that are tried, of the RMS of the force at the highest level: a square wave, a sine."""
+NEAR = 3.0
+"""Cost, of the least that a law alone leaves, the base held, below which a place is carried on."""
 MOST = 400
 """Lines of the quietest run that are fitted."""
 
@@ -54,7 +56,7 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
         return []
     data = quiet_data(run, bench.scatter)
     high = int(np.argmax([r.level for r in bench.runs]))
-    out: list[Tried] = []
+    begun: list[list[Tried]] = []
     for q in sorted(found, key=lambda q: -q.share)[:most]:
         k = -float(np.linalg.lstsq(np.stack([q.z[quiet], q.v[quiet]], axis=1), q.f[quiet], rcond=None)[0][0])
         if k <= 0:
@@ -66,8 +68,10 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
         best = min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
         if best is not None:
             smooth = rounded(bench, best, steps)
-            out += [bench.carry_on(t, steps, last=False) for t in (best, smooth) if t is not None]
-    return sorted(out, key=lambda t: t.cost)
+            begun.append([t for t in (best, smooth) if t is not None])
+    least = min((t.cost for pair in begun for t in pair), default=0.0)
+    near = [t for pair in begun if min(t.cost for t in pair) < NEAR * least for t in pair]
+    return sorted((bench.carry_on(t, steps, last=False) for t in near), key=lambda t: t.cost)
 
 
 def _law(bench: Bench, x: NDArray, q: Recovered, k: float, limit: float, steps: int) -> Tried | None:

@@ -11,9 +11,12 @@ from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit, tried_fit
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, NOISY, Prospect, engine_start, nearest
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
+from labnnum.diagnosis.nonlinear.laws import SHAPES
 from labnnum.diagnosis.nonlinear.leads import general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
+from labnnum.diagnosis.nonlinear.problem import KINKED
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.stuck import rounded
 from labnnum.diagnosis.scatter import Scatter
 
 ENOUGH = 1.15
@@ -32,7 +35,8 @@ def search(
     """
     progress("fitting nonlinear laws")
     bench = seen.bench
-    tried = simulated(bench, seen.near)
+    tried = simulated(bench, seen.near, suspicious=not unsure)
+    tried = tried if unsure else with_rounded(bench, tried)
     if unsure and seen.leads:
         top = max(lead.gain for lead in seen.leads)
         some = [lead for lead in seen.leads if lead.gain > PROMISING * top and lead.mechanism != "hysteresis"]
@@ -75,10 +79,13 @@ CLOSE = 1.5
 """Cost, of the least, below which a follow may turn out better when it is simulated."""
 
 
-def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
-    """The follows that came nearest fitted by simulation, then the others as they are."""
+def simulated(bench: Bench, near: Sequence[Tried], *, suspicious: bool = True) -> list[Tried]:
+    """The follows that came nearest fitted by simulation, then the others as they are; `suspicious` of coarse steps
+    where a simulation leaves too much.
+    """
     out: list[Tried] = []
     best = np.inf
+    again = 0
     far = near[0].made.data_part > NOISY * near[0].made.count
     most = FAR_FRONT if far else (FRONT, UNNAMED_FRONT)
     for t in near:
@@ -92,11 +99,47 @@ def simulated(bench: Bench, near: Sequence[Tried]) -> list[Tried]:
         one = t if t.simulated else bench.simulate(t, LONG)
         if one is None:
             continue
+        if suspicious and _coarse(one) and again < FINELY and (t.simulated or t.cost < AGREES * one.cost):
+            again += 1
+            one = finely(bench, t, one)
         out.append(one)
         best = min(best, one.cost)
     if not any(t.simulated for t in out):
         return []
     return sorted(out, key=lambda t: t.cost)
+
+
+FINELY, AGREES = 2, 0.5
+"""Laws with corners that leave too much, of those that are simulated, which are simulated with finer steps too; and the
+part of what a simulation leaves below which the motion that is measured says that the law explains more."""
+
+
+def finely(bench: Bench, t: Tried, one: Tried) -> Tried:
+    """A law that was followed, `t`, and simulated, `one`, simulated again with finer steps; the better of both."""
+    again = one if t.simulated else bench.simulate(t, LONG, last=True)
+    other = bench.carry_on(one, LONG, last=True) if again is None or _coarse(again) else again
+    return min((x for x in (again, other) if x is not None), key=lambda x: x.cost)
+
+
+def with_rounded(bench: Bench, tried: list[Tried]) -> list[Tried]:
+    """The simulated laws, best first, with hysteresis where a slider is the best and leaves too much."""
+    best = tried[0] if tried else None
+    if best is None or best.mechanism != "stick-slip" or not _coarse(best):
+        return tried
+    if any(o.mechanism == "hysteresis" and o.spot.place == best.spot.place and o.simulated for o in tried):
+        return tried
+    smooth = rounded(bench, best, LONG)
+    more = [] if smooth is None else [bench.carry_on(smooth, LONG, last=True)]
+    return sorted([*tried, *more], key=lambda t: t.cost)
+
+
+def _coarse(t: Tried) -> bool:
+    """Whether the steps may be what a simulated law leaves."""
+    return t.simulated and SHAPES[t.mechanism].law in KINKED and t.made.data_part > COARSE * t.made.count
+
+
+COARSE = 3.0
+"""Chi-square per value that a law with corners leaves above which its steps are suspected."""
 
 
 def _general(bench: Bench, best: Tried, leads: Sequence[Lead]) -> Tried | None:
@@ -164,9 +207,15 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     kept = [t for i, t in enumerate(kept) if t not in kept[:i] and (t is shown[0] or t.cost < limit)]
     base = study.base.data_part / study.base.count
     last = shown[0].made.data_part < FINER * base * shown[0].made.count
-    done = [bench.carry_on(t, LONG if last and t.mechanism == "coulomb-friction" else 4, last=last) for t in kept]
+    finer = any(t.made.terms[0].last for t in kept)  # then all that are compared with it
+
+    def fine(t: Tried) -> bool:
+        return last if t.mechanism == "coulomb-friction" else finer
+
+    long = [fine(t) and (_coarse(t) or not t.made.terms[0].last) for t in kept]
+    done = [bench.carry_on(t, LONG if far else 4, last=fine(t)) for t, far in zip(kept, long, strict=True)]
     best = min(done, key=lambda t: t.cost)
-    sure = bench.carry_on(best, 2, always=True, last=last)
+    sure = bench.carry_on(best, 2, always=True, last=fine(best))
     done = [sure if t is best else t for t in done]
     ratio = sure.made.count / shown[0].made.count
     rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
