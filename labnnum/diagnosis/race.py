@@ -12,7 +12,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import changes_of, fit
 from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.search import Lead, direction_score, grid_score, shortlist
-from labnnum.diagnosis.task import Candidate, Task, afresh, among, settled, winner_base
+from labnnum.diagnosis.task import Candidate, Task, afresh, among, idle, settled, winner_base
 from labnnum.errors import ModelError
 from labnnum.mechanisms.base import Place, Term
 
@@ -105,6 +105,16 @@ def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -
     race = Race(task, before)
     leads = [Entry(lead, 0) for lead in rough] + [Entry(lead, 1) for lead in shortlist(middle, 4, task.counts)]
     race.run([*leads, *(Entry(lead) for lead in (*fine, *(_faint(x) for x in fine[:3])))])
+    begun = task.priced(before.terms, task.down(before.terms, x, len(task.ladder)), task.coarse)
+    if not (race.found and idle(task, begun, race.leader, task.coarse)):
+        _further(race, terms, rough)
+    ahead = among([c for c in race.found if not shadows(engine, c)], ())[: width // 2 + 1]
+    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
+
+
+def _further(race: Race, terms: Sequence[Term], rough: Sequence[Lead]) -> None:
+    """More starts where nothing settles what is left; the leader in other variants and places, the others beside it."""
+    task, before = race.task, race.before
     if not race.found or not settled(race.leader.fit, task.coarse, task.limits):
         again = [x for x in rough[:4] if x.term.n in (1, 2, 3)]  # the more parameters, the more starts
         starts = [replace(lead, start=p) for lead in again for p in lead.others[: lead.term.n + 1]]
@@ -115,8 +125,6 @@ def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -
         if task.counts:
             _otherwise(race, terms)
             _again(race, terms, done)
-    ahead = among([c for c in race.found if not shadows(engine, c)], ())[: width // 2 + 1]
-    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
 def shadows(engine: Engine, c: Candidate) -> bool:

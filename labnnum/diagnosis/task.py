@@ -160,6 +160,16 @@ def settled(made: Fit, data: Data, limits: Limits) -> bool:
     return made.data_part < limits.unsettled * 2 * data.value.size and made.prior_part < OFF * errors
 
 
+IDLE = 0.25
+"""Part of an alarm's gain below which the best of a search is followed no further where noise is all that is left."""
+
+
+def idle(task: Task, before: Candidate, best: Candidate, data: Data) -> bool:
+    """Whether a model leaves no more of `data` than noise, and the best addition found to it gains next to nothing."""
+    quiet = before.fit.data_part < task.limits.unsettled * 2 * data.value.size
+    return quiet and before.fit.objective - best.cost < IDLE * task.limits.alarm
+
+
 def count(term: Term) -> int:
     """Parameters that a term is priced for."""
     return term.data.get("price", max(term.n, 1))

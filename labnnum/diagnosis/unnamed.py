@@ -10,7 +10,7 @@ import numpy as np
 from labnnum.diagnosis.race import Entry, Race, one_each, shadows, stage_of
 from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.search import Lead, grid_score, subspace_score
-from labnnum.diagnosis.task import Candidate, Task, afresh, among, settled, winner_base
+from labnnum.diagnosis.task import Candidate, Task, afresh, among, idle, settled, winner_base
 from labnnum.diagnosis.verdict import Limits
 from labnnum.mechanisms.base import Term
 
@@ -24,7 +24,7 @@ def unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candida
 
     def enough() -> bool:
         best = min([*found, named], key=lambda c: c.cost)
-        return settled(best.fit, task.data, task.limits)
+        return settled(best.fit, task.data, task.limits) or idle(task, base, best, task.data)
 
     if not enough():
         found += _surveyed(plain, single, base, 2)
