@@ -68,6 +68,7 @@ class Engine:
         self._affine = affine(structure, dofs, self.basis, self.is_base)
         self._cache: dict[tuple, State] = {}
         self._seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._share: tuple[tuple, NDArray[np.complex128]] | None = None
         self._taken: dict[bytes, NDArray[np.complex128]] = {}
         self._grids: dict[tuple[int, int, int], tuple] = {}
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
@@ -359,7 +360,7 @@ class Engine:
         return np.vstack([share, np.zeros(share.shape[1])])
 
     def inside_taken(self, s: NDArray) -> NDArray[np.complex128]:
-        """`Inside.taken` between motions of the basis and the base, (n_s, n_basis + 1, n_basis + 1), modes beside the
+        """`Inside.taken` between motions of the basis and the base, (n_basis + 1, n_basis + 1, n_s), modes beside the
         band following as the nominal ones; the last few are remembered.
         """
         key = s.tobytes()
@@ -368,8 +369,16 @@ class Engine:
                 self._taken.pop(next(iter(self._taken)))
             one = Evaluation(self, self.start(), (), s)
             out, motions = self.outside_modes, np.column_stack([self.basis, one.state.rigid])
-            self._taken[key] = self.inside.taken(s, motions, self.in_basis(one.state)[:, out], one.d[out])
+            taken = self.inside.taken(s, motions, self.in_basis(one.state)[:, out], one.d[out])
+            self._taken[key] = np.ascontiguousarray(np.moveaxis(taken, 0, 2))
         return self._taken[key]
+
+    def mesh_share(self, point: Point, held: Sequence[Term], s: NDArray, plain: NDArray) -> NDArray[np.complex128]:
+        """What a finer mesh adds to the FRFs `plain`; that of the last point is remembered."""
+        key = (point.vector().tobytes(), tuple(id(t) for t in held), s.tobytes())
+        if self._share is None or self._share[0] != key:
+            self._share = (key, self.response(point, held, s).value - plain)
+        return self._share[1]
 
     @cached_property
     def inside_own(self) -> NDArray[np.float64]:
@@ -379,7 +388,7 @@ class Engine:
         first, b = self.state(self.theta0), self.band_modes
         omega = first.omega[b] * (1 + self.mesh_shift)
         w = self.in_basis(first)[:, b]
-        return np.einsum("em,meg,gm->m", w, self.inside_taken(1j * omega), w).real / omega**4
+        return np.einsum("em,egm,gm->m", w, self.inside_taken(1j * omega), w).real / omega**4
 
     # ---------------------------------------------------------------- responses
 

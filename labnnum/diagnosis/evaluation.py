@@ -121,7 +121,7 @@ class Evaluation:
         if self.acting:
             q, x, p_out, z_in, z_out = self._couple(q, x, p_out)
         if e.finer:
-            q, x, p_out = self._refined(q, x, p_out)
+            q, x, p_out = self._refined(q, x, p_out, jacobian or modal)
         if e.is_base:
             x = x + (st.rigid_out[:, None] / s**2)[:, None, :]
         extra = self._extra(x)
@@ -150,21 +150,24 @@ class Evaluation:
             own = own if swap is None else np.stack([swap(c) for c in own])
         return Response(value, jac, q[b], p_out[b], lift * chain, rest, rigid, others, own, moved)
 
-    def _refined(self, q: NDArray, x: NDArray, p_out: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    def _refined(self, q: NDArray, x: NDArray, p_out: NDArray, both: bool) -> tuple[NDArray, NDArray, NDArray]:
         """With what a finer mesh lets bend, to first order but for the modes beside the band; frequencies of band modes
-        stay where they are, since their offsets hold what the mesh moves them by.
+        stay where they are, since their offsets hold what the mesh moves them by. Modal motions where asked for.
         """
         e, st, s, b = self.e, self.state, self.s, self.e.band_modes
         w, taken = e.in_basis(st), e.inside_taken(s)
-        met, seen = np.tensordot(w, q, 1), np.tensordot(w, p_out, 1)  # motions of the basis, (k, i, f) and (k, o, f)
+        met, seen = _dot(w, q), _dot(w, p_out)  # motions of the basis, (k, i, f) and (k, o, f)
         if e.is_base:
             met[-1] += 1.0 / s**2
-        met, back = (np.moveaxis(np.matmul(taken, np.moveaxis(a, 2, 0)), 0, 2) for a in (met, seen))
+        met = np.einsum("klf,lif->kif", taken, met)
         own = self._own()
-        pushed, pulled = np.tensordot(w.T, met, 1), np.tensordot(w.T, back, 1)
+        whole = np.einsum("kof,kif->oif", seen, met)
+        whole -= np.einsum("mof,mif->oif", p_out[b], own[:, None, None] * q[b])
+        if not both:
+            return q, x + whole, p_out
+        pushed, pulled = _dot(w.T, met), _dot(w.T, np.einsum("klf,lof->kof", taken, seen))
         pushed[b] -= own[:, None, None] * q[b]
         pulled[b] -= own[:, None, None] * p_out[b]
-        whole = np.einsum("kof,kif->oif", seen, met) - np.einsum("m,mof,mif->oif", own, p_out[b], q[b], optimize=True)
         return q + self.d[:, None] * pushed, x + whole, p_out + self.d[:, None] * pulled
 
     def _own(self) -> NDArray[np.float64]:
@@ -449,4 +452,4 @@ def sweep(
         force = np.moveaxis(np.matmul(np.moveaxis(g, 3, 1), motion), 1, 3)  # (n, k, i, f)
         change = -sum(h[:, c][None, :, None] * force[:, c][:, None] for c in range(k))
     value = one.to_channels(x[None] + change)
-    return value + (engine.response(point, held, s).value - one.to_channels(x[None])) if engine.finer else value
+    return value + engine.mesh_share(point, held, s, one.to_channels(x[None])[0]) if engine.finer else value
