@@ -17,6 +17,7 @@ from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.diagnosis.objective import frequency_spread
 from labnnum.diagnosis.scatter import Scatter
 
 FINE_STEPS = 3.3
@@ -93,7 +94,7 @@ class Joint:
         zeta0 = np.log(e.zeta0[e.band_modes])
         self.mean = np.concatenate([e.theta0, np.zeros(m), zeta0, np.zeros(m), np.zeros(self.k * m)])
         self.std = np.concatenate(
-            [[p.spread for p in parameters], np.full(m, sc.frequency), np.full(m, sc.damping), np.full(m, sc.residue),
+            [[p.spread for p in parameters], frequency_spread(e, sc), np.full(m, sc.damping), np.full(m, sc.residue),
              np.full(self.k * m, sc.shape)]
         )  # fmt: skip
         mean, std = [], []
