@@ -4,12 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Diagnosis
 
+COARSE = 2e-3
+"""Relative error of a frequency by the mesh alone, from which on it is worth a word."""
+
 
 def summarise(d: Diagnosis) -> str:
-    """One paragraph: verdict, place, mechanism with its parameters, and what the fit gained."""
+    """One paragraph: verdict, place, mechanism with its parameters, what the fit gained, and a mesh that is coarse."""
+    return _found(d) + _mesh(d)
+
+
+def _mesh(d: Diagnosis) -> str:
+    engine = d.detail.get("engine")
+    if engine is None or not engine.finer:
+        return ""
+    moved = np.abs(engine.mesh_shift[np.isin(engine.band_modes, engine.seen_modes)]).max(initial=0.0)
+    if moved < COARSE:
+        return ""
+    return (
+        f" The mesh alone puts frequencies of the band up to {_percent(float(moved))} too high, as the data show; that"
+        " is allowed for here, but not where the model's file is used: give it shorter elements."
+    )
+
+
+def _found(d: Diagnosis) -> str:
     if d.verdict == "consistent":
         return (
             f"The nominal model explains the data to {_percent(d.base_error[1])} on data held out; nothing is missing."

@@ -8,9 +8,17 @@ import pytest
 from scipy.linalg import eigh
 
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import fit
+from labnnum.diagnosis.linear import LADDER, base_fit, settle_mesh
+from labnnum.diagnosis.scatter import Scatter
+from labnnum.diagnosis.search import broaden
+from labnnum.diagnosis.task import Task, choose_lines, data_of
+from labnnum.diagnosis.verdict import Limits
+from labnnum.frf import Frf
 from labnnum.recording import Channel
 from labnnum.structures.beam import Beam
 from labnnum.structures.frame import Frame, Member, Profile
+from labnnum.structures.quantities import modal
 from labnnum.structures.section import Section
 
 HIGH = 620.0
@@ -29,7 +37,7 @@ def portal(parts: int) -> Frame:
             nodes[name] = (float(x), float(y), 0.0)
         members += [Member(p, q, "bar") for p, q in itertools.pairwise(names)]
     held = ("x", "y", "rz")
-    return Frame(nodes, {"bar": bar}, tuple(members), fixed={"0": held, "8": held}, plane="xy")
+    return Frame(nodes, {"bar": bar}, tuple(members), fixed={"0": held, "8": held}, plane="xy", damping=modal(0.01))
 
 
 def channels() -> tuple[list[Channel], list[Channel]]:
@@ -105,3 +113,24 @@ def test_a_beam_of_few_elements(mesh: int) -> None:
     own = made.state(made.theta0).omega[made.band_modes]
     seen = own < 2 * np.pi * 150.0
     assert np.allclose(own[seen] * (1 + made.mesh_shift[seen]), exact[seen], rtol=2e-3)
+
+
+def test_the_data_choose_the_finer_mesh() -> None:
+    """Hits of a portal of many elements, diagnosed with one element a bar."""
+    rng = np.random.default_rng(3)
+    out, drive = channels()
+    fine = engine(portal(6))
+    frequency = np.arange(20.0, 500.0, 0.4)
+    exact = fine.response(fine.start(), (), 2j * np.pi * frequency).value
+    sigma = 2e-4 * np.median(np.abs(exact), axis=2, keepdims=True) * np.ones_like(exact.real)
+    noise = (rng.normal(size=exact.shape) + 1j * rng.normal(size=exact.shape)) * sigma / np.sqrt(2)
+    frf = Frf(frequency, exact + noise, tuple(out), tuple(drive), variance=sigma**2)
+    made = engine(portal(1), 500.0)
+    data = data_of(choose_lines(frf), Scatter())
+    ladder = tuple(broaden(made, data, made.start(), (), k) for k in LADDER)
+    task = Task(made, data, data, (*ladder, data), Scatter(), Scatter(), Limits())
+    base = base_fit(task, (), made.start())
+    better = settle_mesh(task, base)
+    assert made.finer
+    made.refine(finer=False)
+    assert better.objective < 0.8 * fit(made, data, (), Scatter(), base.point.vector(), steps=60).objective
