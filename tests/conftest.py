@@ -9,6 +9,8 @@ ROOT = Path(__file__).resolve().parents[1]
 RECORDINGS = ROOT.parent / "shared" / "recordings"
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_library, "1")  # as the command line does: threads of small matrices wait for each other
 
 
 def qt_failure() -> str:

@@ -221,11 +221,17 @@ def select(
             break
         if told and law is not None and best.cost > law.cost - limits.name:
             break  # two names are believed beside one law that explains all where they say it more simply
+        if stage and law is not None and law.fit.data_part < FAR * best.fit.data_part:
+            break  # a third will not do what two are so far from
         chain.append(best)
     if len(chain) > 2:
         progress("looking again at what came first")
         chain, stages = _revisited(task, terms, chain, stages[: len(chain) - 1], width)
     return Selection(tuple(chain), tuple(stages), law, gains, task.scatter, task.data)
+
+
+FAR = 0.1
+"""Part of what two names leave, below which a law that leaves so little is where the search for a third ends."""
 
 
 SAME = 0.15
