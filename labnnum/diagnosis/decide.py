@@ -30,6 +30,7 @@ def same_answer(a: Term, b: Term) -> bool:
 def decide(
     engine: Engine, train: Frf, test: Frf, selection: Selection, scatter: Scatter, limits: Limits,
     observations: Sequence[Observation], general: Sequence[Term], gated: tuple[Named, ...] = (),
+    raw: tuple[Frf, Frf] | None = None,
 ) -> Diagnosis:  # fmt: skip
     """The diagnosis that a selection ends in.
 
@@ -43,6 +44,8 @@ def decide(
         The unnamed laws, for the report.
     gated : tuple of Named
         What was named before any fit.
+    raw : (train, test), optional
+        The FRFs before a drift was taken back: what the base model has to explain.
     """
     base = selection.chain[0]
     stage = selection.stages[0] if selection.stages else ()
@@ -100,6 +103,8 @@ def decide(
         verdict = "parameters"
     if len(named) == len(gated):
         extended_error = base_error
+    if raw is not None:
+        base_error = errors_of(engine, trimmed(engine, choose_lines(raw[0], 400), base.fit, scatter), *raw)
     detail = {
         "engine": engine, "data": data, "train": train, "test": test, "base": plain_base,
         "final": plain_final if named else plain_base, "selection": selection, "general": general, "reason": reason,

@@ -87,7 +87,8 @@ def diagnose(
     scatter, limits = scatter or Scatter(), limits or Limits()
     gate = pass_gates(observations)
     progress("estimating")
-    train, test = split_runs(gate.usable, held_out)
+    moving, usable, later = drifted(gate.usable, held_out)
+    train, test = split_runs(usable, later)
     if span is not None:
         train, test = train.lines(*span), test.lines(*span)
     if train.frequency.size < 8:
@@ -98,7 +99,6 @@ def diagnose(
     inner, initial = _taken_apart(structure, train)
     engine = Engine(inner, train.outputs, train.inputs, band)
     where = places_of(engine, places)
-    moving = drifted(engine, gate.usable)
     if nonlinear and not initial and moving is None:  # a change within the run stands on quiet lines as well
         from labnnum.diagnosis.nonlinear.merge import nonlinear_first
 
@@ -129,7 +129,11 @@ def diagnose(
     )
     progress("weighing the answer")
     gated = (*gate.named, *((moving,) if moving else ()))
-    return decide(engine, train, test, selection, scatter, limits, observations, general, gated)
+    raw = None
+    if moving is not None:
+        raw = split_runs(gate.usable, held_out)
+        raw = raw if span is None else (raw[0].lines(*span), raw[1].lines(*span))
+    return decide(engine, train, test, selection, scatter, limits, observations, general, gated, raw)
 
 
 def by_hand(scatter: Scatter) -> Scatter:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.creep import take_back
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Named
 from labnnum.mechanisms.base import Place, Term
@@ -108,16 +108,33 @@ def _less_channel(recording: Recording, name: str) -> Recording:
     return replace(recording, channels=tuple(recording.channels[i] for i in rows), data=recording.data[rows])
 
 
-def drifted(engine: Engine, observations: Sequence[Observation]) -> Named | None:
-    """Drift, if the runs change within themselves beyond their scatter; its size from the common frequency change."""
+def drifted(
+    observations: Sequence[Observation], held_out: Sequence[Observation] = ()
+) -> tuple[Named | None, list[Observation], list[Observation]]:
+    """Drift, and the observations as of one moment of the session.
+
+    A trend of the periods or hits is one (see `labnnum.diagnosis.creep`), and so are runs whose halves differ beyond
+    their scatter; these stay as they are.
+    """
+    same = None, list(observations), list(held_out)
+    if _distorts(observations):
+        return same
+    creep, still, later = take_back(observations, held_out)
+    if creep is not None:
+        named = _drift(2 * creep.change, 2 * creep.std, 0.999)
+        return replace(named, term=replace(named.term, data={"creep": creep})), still, later
     ratios = [o.drift for o in observations if o.drift > 0]
-    if not ratios or float(np.median(ratios)) < CHANGED or _level_outweighs(observations) or _distorts(observations):
-        return None
-    sizes = [_stiffness_change(engine, o) for o in observations if o.drift_slope is not None]
+    if not ratios or float(np.median(ratios)) < CHANGED or _level_outweighs(observations):
+        return same
+    sizes = [_stiffness_change(o) for o in observations if o.drift_slope is not None]
     value, std = float(np.mean(sizes)), float(np.std(sizes) / np.sqrt(max(len(sizes), 1)) + 1e-6)
+    return _drift(value, std, float(min(0.999, 1 - np.exp(-3 * (np.median(ratios) - 1))))), same[1], same[2]
+
+
+def _drift(value: float, std: float, confidence: float) -> Named:
     parameter = Parameter("relative_change", 0.0, -1.0, 10.0)
     term = Term(Drift(), Place("global", "structure"), (parameter,), np.zeros((0, 1)))
-    return Named(term, np.array([value]), np.array([std]), float(min(0.999, 1 - np.exp(-3 * (np.median(ratios) - 1)))))
+    return Named(term, np.array([value]), np.array([std]), confidence)
 
 
 def _distorts(observations: Sequence[Observation]) -> bool:
@@ -158,7 +175,7 @@ def _level_outweighs(observations: Sequence[Observation]) -> bool:
     return bool(np.linalg.norm(high.value - low.value) / size > BESIDE * within)
 
 
-def _stiffness_change(engine: Engine, o: Observation) -> float:
+def _stiffness_change(o: Observation) -> float:
     """Relative change of all stiffness over the run: the halves differ by half of it, and frequency by half of that.
 
     The measured FRF's own derivative to a common stretch of frequency stands for the model's.

@@ -46,7 +46,9 @@ class Observation:
     run: Run | None = None
     """Spectra of a periodic run, for the nonlinear diagnosis."""
     recordings: tuple[Recording, ...] = ()
-    """What hits or random data were recorded, for the same."""
+    """What was recorded, for the same."""
+    order: tuple[int, ...] = ()
+    """Which of the session's recordings these are, in the order in which they were made; empty if not known."""
 
 
 def observe(recording: Recording) -> Observation:
@@ -70,7 +72,7 @@ def observe(recording: Recording) -> Observation:
 # -------------------------------------------------------------------- periodic
 
 
-def _periods(recording: Recording) -> NDArray:
+def steady_periods(recording: Recording) -> NDArray:
     """Steady periods, shape (n_periods, n_channels, period)."""
     n = recording.period
     out = []
@@ -114,15 +116,16 @@ def _least(size: NDArray) -> float:
     return float(order[widest] * 1.01) if ratio[widest] > GAP and above > 0.99 else 1e-3 * top
 
 
-def _smooth(variance: NDArray, width: int = 31) -> NDArray:
+def smooth(variance: NDArray, width: int = 31) -> NDArray[np.float64]:
+    """Running mean of variances over their last axis."""
     from scipy.ndimage import uniform_filter1d
 
-    smooth = uniform_filter1d(variance, min(width, max(variance.shape[-1] // 4, 1)), axis=-1, mode="nearest")
-    return np.maximum(smooth, 0.0)  # the running sum may end a rounding below zero
+    mean = uniform_filter1d(variance, min(width, max(variance.shape[-1] // 4, 1)), axis=-1, mode="nearest")
+    return np.maximum(mean, 0.0)  # the running sum may end a rounding below zero
 
 
 def _periodic(recording: Recording) -> Observation:
-    x = _periods(recording)
+    x = steady_periods(recording)
     n_periods, _, n = x.shape
     spectra = np.fft.rfft(x, axis=2) * (2 / n)
     mean = spectra.mean(axis=0)
@@ -133,7 +136,7 @@ def _periodic(recording: Recording) -> Observation:
     u, y = mean[inputs[0]], mean[outputs]
     if n_periods > 1:
         each = spectra - mean
-        noise_u = _smooth(np.mean(np.abs(each[:, inputs[0]]) ** 2, axis=0) / (n_periods - 1))
+        noise_u = smooth(np.mean(np.abs(each[:, inputs[0]]) ** 2, axis=0) / (n_periods - 1))
     else:
         noise_u = np.full(u.size, (1e-4 * np.abs(u).max()) ** 2)
     on = excited_lines(u.copy(), np.sqrt(noise_u))
@@ -144,7 +147,7 @@ def _periodic(recording: Recording) -> Observation:
     if n_periods > 1:
         error = each[:, outputs][:, :, on] - h * each[:, inputs[0]][:, None, on]
         variance = np.mean(np.abs(error) ** 2, axis=0) / (n_periods - 1) / np.abs(u[on]) ** 2
-        variance = 0.5 * variance + 0.5 * _smooth(variance, 9)
+        variance = 0.5 * variance + 0.5 * smooth(variance, 9)
     else:
         variance = noise_from_smoothness(frequency[on], h)
     drift, slope = _drift(spectra, inputs, outputs, on, h) if n_periods >= 4 else (0.0, None)
@@ -184,7 +187,7 @@ def _drift(spectra: NDArray, inputs: list[int], outputs: list[int], on: NDArray,
         step = np.diff(chunk, axis=0)
         within = within + np.sum(np.abs(step) ** 2, axis=0) / 2 / max(step.shape[0], 1) / 2
     expected = within * 2 / half
-    ratio = float(np.sum(np.abs(change) ** 2 / np.maximum(_smooth(expected), 1e-300)) / change.size)
+    ratio = float(np.sum(np.abs(change) ** 2 / np.maximum(smooth(expected), 1e-300)) / change.size)
     return ratio, change
 
 
@@ -250,25 +253,22 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     it does to the FRF is exact, a shift of i omega to i omega + decay, and is recorded as "window_decay".
     """
     first = recordings[0]
-    pieces = [r.data[:, a:b] for r in recordings for a, b in r.spans()]
-    n = min(p.shape[1] for p in pieces)
-    x = np.stack([without_offset(p[:, :n], first.inputs[0]) for p in pieces])
-    decay = np.log(100.0) * first.rate / n
-    spectra = np.fft.rfft(x * np.exp(-decay * np.arange(n) / first.rate), axis=2) / first.rate
+    x, spectra, decay = hit_spectra(recordings)
+    n = x.shape[2]
     u, y = spectra[:, first.inputs[0]], spectra[:, list(first.outputs)]
     power = np.sum(np.abs(u) ** 2, axis=0)
     h = np.sum(y * np.conj(u)[:, None], axis=0) / power
     frequency = np.arange(n // 2 + 1) * (first.rate / n)
-    if len(pieces) >= 3:
+    if len(x) >= 3:
         left = y - h * u[:, None]
-        variance = _smooth(np.sum(np.abs(left) ** 2, axis=0) / (len(pieces) - 1), 9) / power
+        variance = smooth(np.sum(np.abs(left) ** 2, axis=0) / (len(x) - 1), 9) / power
     else:
         variance = noise_from_smoothness(frequency, h)
     keep = (frequency > 0) & (power > 1e-3 * power.max())
     frf = Frf(
         frequency[keep], h[:, None][..., keep], tuple(first.channels[i] for i in first.outputs),
-        (first.channels[first.inputs[0]],), None, variance[:, None][..., keep], float(len(pieces)), "H1",
-        {"window_decay": float(decay), "rate": first.rate, "n_segment": n},
+        (first.channels[first.inputs[0]],), None, variance[:, None][..., keep], float(len(x)), "H1",
+        {"window_decay": decay, "rate": first.rate, "n_segment": n},
     )  # fmt: skip
     level = float(np.median(np.max(np.abs(x[:, first.inputs[0]]), axis=1)))
     clipped, peaks = rails_of(recordings)
@@ -277,29 +277,38 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     )  # fmt: skip
 
 
+def hit_spectra(recordings: Sequence[Recording]) -> tuple[NDArray, NDArray, float]:
+    """Hits (n_hits, n_channels, n) without offsets, their spectra through an exponential window, its decay in 1/s."""
+    first = recordings[0]
+    pieces = [r.data[:, a:b] for r in recordings for a, b in r.spans()]
+    n = min(p.shape[1] for p in pieces)
+    x = np.stack([without_offset(p[:, :n], first.inputs[0]) for p in pieces])
+    decay = np.log(100.0) * first.rate / n
+    return x, np.fft.rfft(x * np.exp(-decay * np.arange(n) / first.rate), axis=2) / first.rate, float(decay)
+
+
 def observe_all(recordings: Sequence[Recording]) -> list[Observation]:
     """Observations of several recordings: hits of one level together, every other recording on its own."""
     out, hits = [], []
-    for r in recordings:
-        if not r.inputs or not r.outputs:
-            out.append(observe(r))
-        elif is_hit(r.require_finite()) or (r.breaks and not r.period):
-            hits.append(r)
+    for i, r in enumerate(recordings):
+        if r.inputs and r.outputs and (is_hit(r.require_finite()) or (r.breaks and not r.period)):
+            hits.append((i, r))
         else:
-            out.append(observe(r))
-    return out + [observe_hits(group) for group in _levels(hits)]
+            out.append(replace(observe(r), order=(i,)))
+    for group in _levels(hits):
+        out.append(replace(observe_hits([r for _, r in group]), order=tuple(i for i, _ in group)))
+    return out
 
 
-def _levels(hits: Sequence[Recording]) -> list[list[Recording]]:
-    """Hits in groups whose peak forces lie within a factor of two of each other's first."""
-    ordered = sorted(hits, key=lambda r: float(np.max(np.abs(r.data[r.inputs[0]]))))
-    groups: list[list[Recording]] = []
-    for r in ordered:
-        peak = float(np.max(np.abs(r.data[r.inputs[0]])))
-        if groups and peak <= 2.0 * float(np.max(np.abs(groups[-1][0].data[groups[-1][0].inputs[0]]))):
-            groups[-1].append(r)
+def _levels(hits: Sequence[tuple[int, Recording]]) -> list[list[tuple[int, Recording]]]:
+    """Hits, with their numbers, in groups whose peak forces lie within a factor of two of each other's first."""
+    peaks = {i: float(np.max(np.abs(r.data[r.inputs[0]]))) for i, r in hits}
+    groups: list[list[tuple[int, Recording]]] = []
+    for one in sorted(hits, key=lambda hit: peaks[hit[0]]):
+        if groups and peaks[one[0]] <= 2.0 * peaks[groups[-1][0][0]]:
+            groups[-1].append(one)
         else:
-            groups.append([r])
+            groups.append([one])
     return groups
 
 
@@ -313,7 +322,7 @@ def _random(recording: Recording) -> Observation:
     if len(recording.inputs) == 1 and longest > ENOUGH:
         made = local_frf(recording)
         assert made.variance is not None
-        made = replace(made, variance=0.5 * made.variance + 0.5 * _smooth(made.variance, 5))  # few degrees of freedom
+        made = replace(made, variance=0.5 * made.variance + 0.5 * smooth(made.variance, 5))  # few degrees of freedom
         return Observation(_heard(made, 10.0), 0.0, recording.label, "random", recordings=(recording,))
     n = int(2 ** np.floor(np.log2(max(longest / 15, 64))))
     made = H1(Welch(n, window="hann", overlap=0.5))(recording)

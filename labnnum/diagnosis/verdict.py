@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.creep import Creep
 from labnnum.mechanisms.base import Place, Term
 
 
@@ -120,6 +121,11 @@ class Diagnosis:
     theta_std: NDArray[np.float64]
     damping: NDArray[np.float64]
     detail: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def creep(self) -> Creep | None:
+        """How the natural frequencies went during the session, where a drift was followed."""
+        return next((n.term.data["creep"] for n in self.named if "creep" in n.term.data), None)
 
     def as_dict(self) -> dict[str, Any]:
         """The content of diagnosis.json, schema 1."""

@@ -54,8 +54,15 @@ def _found(d: Diagnosis) -> str:
         )
         named = n.term.mechanism.id + (f" ({sense})" if sense else "")
         parts.append(f"{named} at {n.place}" + (f": {values}" if values else ""))
+    creep = d.creep
+    told = ""
+    if creep is not None:
+        told = (
+            f" From the first sample to the last all natural frequencies {'rose' if creep.change > 0 else 'fell'} by"
+            f" {_percent(abs(creep.change))}; what else is said here holds for the middle of the session."
+        )
     return (
-        f"{'; and '.join(parts)}. The held-out error falls from {_percent(d.base_error[1])} to"
+        f"{'; and '.join(parts)}.{told} The held-out error falls from {_percent(d.base_error[1])} to"
         f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)})."
     )
 

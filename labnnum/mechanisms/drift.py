@@ -12,12 +12,12 @@ from labnnum.mechanisms.base import Mechanism, Site, Term
 @final
 @dataclass(frozen=True)
 class Drift(Mechanism):
-    """k(t) = k (1 + d t / T): all stiffness changes by the fraction d over a run."""
+    """k(t) = k (1 + d t / T): all stiffness changes by the fraction d over a session of length T."""
 
     id = "drift"
-    title = "stiffness changes during the run"
+    title = "stiffness changes while it is measured"
     equation = "k(t) = k (1 + d t / T)"
-    shows = "the second half of a run differs from the first by more than noise"
+    shows = "all natural frequencies move together, from period to period and from hit to hit"
     told_apart = "noise differs from period to period without direction"
     symbol = "clock"
     reference = "Pintelon and Schoukens (2012), chapter 6"

@@ -40,6 +40,7 @@ def write_page(path: Path, model: Model, d: Diagnosis) -> Path:
         answer_section(d),
         drawing_section(d),
         levels_section(d) or fit_section(d),
+        creep_section(d),
         nonlinear_section(d),
         stiffness_section(d),
         rivals_section(d),
@@ -175,6 +176,36 @@ def response_figure(d: Diagnosis, o: int) -> str:
         for ax, name in ((top, "|FRF|"), (low, "residual")):
             ax.set_ylabel(name)
             fixed(ax, -0.09)
+        return svg(fig)
+
+
+# -------------------------------------------------------------------- drift
+
+
+def creep_section(d: Diagnosis) -> Section | None:
+    """How the natural frequencies went while the structure was measured."""
+    if d.creep is None:
+        return None
+    return Section(
+        "drift", "Natural frequencies during the session", figure(
+            creep_figure(d), "One dot for every period or hit: by how much all natural frequencies then stood off those"
+            " of the session's middle, to which the FRFs above were taken back. Line: the drift as named.",
+        ),
+    )  # fmt: skip
+
+
+def creep_figure(d: Diagnosis) -> str:
+    """SVG: stretch of every piece over the time that was recorded."""
+    creep = d.creep
+    assert creep is not None
+    with matplotlib.rc_context(_STYLE):
+        fig = Figure(figsize=(7.5, 2.6))
+        ax = fig.add_subplot()
+        ax.plot(creep.time, 100 * creep.change * (creep.time - creep.time.mean()), color=AFTER, lw=1.0)
+        ax.plot(creep.time, 100 * creep.stretch, "o", ms=4, color=MEASURED)
+        ax.axhline(0.0, color="#8a949e", lw=0.7)
+        ax.set_xlabel("share of what was recorded")
+        ax.set_ylabel("frequencies, %")
         return svg(fig)
 
 

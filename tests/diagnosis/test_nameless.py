@@ -67,11 +67,8 @@ def _drifting(distortion_db):
 
 def test_what_distorts_more_than_a_drift_can_is_no_drift():
     """A change of 2 % over 8 periods leaves 20 log10(0.02 / 8 / sqrt(12)) = -63 dB on other lines at most."""
-    from labnnum.diagnosis.engine import Engine
-
-    engine = Engine(chain(), OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
-    assert drifted(engine, [_drifting(-70.0)]) is not None
-    assert drifted(engine, [_drifting(-30.0)]) is None
+    assert drifted([_drifting(-70.0)])[0] is not None
+    assert drifted([_drifting(-30.0)])[0] is None
 
 
 def test_common_scales_follow_from_units():

@@ -91,8 +91,8 @@ def test_a_creep_that_levels_dwarf_is_no_drift():
     slope = replace(one.frf, value=1e-3 * one.frf.value * rng.normal(size=one.frf.value.shape))
     low = replace(one, level=1.0, drift=3.0, drift_slope=slope)
     other = replace(low.frf, value=2.0 * low.frf.value)
-    assert drifted(None, [low, replace(low, level=3.0, frf=other)]) is None  # pyright: ignore[reportArgumentType]
-    same = drifted(None, [low, replace(low, level=3.0)])  # pyright: ignore[reportArgumentType]
+    assert drifted([low, replace(low, level=3.0, frf=other)])[0] is None
+    same = drifted([low, replace(low, level=3.0)])[0]
     assert same is not None
     assert same.term.mechanism.id == "drift"
 
