@@ -54,7 +54,7 @@ def decide(
     measured = all(o.kind != "frf" for o in observations)
     plain_base = trimmed(engine, lines, base.fit, scatter)
     base_error = errors_of(engine, plain_base, train, test)
-    selection = alarmed(selection, limits, data, base_error[1])
+    selection = whole = alarmed(selection, limits, data, base_error[1])
     selection, plain_final, extended_error = worthwhile(
         engine,
         lines,
@@ -83,7 +83,12 @@ def decide(
         )
     if verdict == "unexplained" and not missing(engine, lines, selection, limits, scatter, data, train, test,
                                                  base_error, extended_error, measured, score):  # fmt: skip
-        verdict = "consistent"
+        last = whole.chain[-1].fit  # several that were not worth their names may still predict what the base does not
+        if (
+            len(whole.chain) <= len(selection.chain)
+            or errors_of(engine, trimmed(engine, lines, last, scatter), train, test)[1] > limits.doubt * base_error[1]
+        ):
+            verdict = "consistent"
     located = _located(selection)
     noise = float(np.sqrt(np.mean(np.sum(test.variance, axis=2) / np.sum(np.abs(test.value) ** 2, axis=2))))  # pyright: ignore[reportArgumentType, reportCallIssue]
     if verdict == "consistent" and measured and base_error[1] > max(limits.sound, 3 * noise):
@@ -160,7 +165,7 @@ def _verdict(
     if len(set(answers)) < len(answers):
         return "unexplained", (), "it takes one mechanism twice at one place: the law there is another"
     whole = {node for _, p in answers for node in (p.id, p.to) if node is not None}
-    if len(answers) > 2 and len(whole) == 2 and all(p.kind != "channel" for _, p in answers):
+    if len(answers) > 2 and len(whole) <= 2 and all(p.kind != "channel" for _, p in answers):
         return "unexplained", (), "it takes several mechanisms between two nodes: the law there is another"
     if lead < limits.name and len(selection.chain) == 2:
         return "unexplained", (), "two mechanisms explain it equally well"

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import changes_of, fit
 from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.search import Lead, direction_score, grid_score, shortlist
@@ -108,7 +107,7 @@ def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -
     begun = task.priced(before.terms, task.down(before.terms, x, len(task.ladder)), task.coarse)
     if not (race.found and idle(task, begun, race.leader, task.coarse)):
         _further(race, terms, rough)
-    ahead = among([c for c in race.found if not shadows(engine, c)], ())[: width // 2 + 1]
+    ahead = among([c for c in race.found if not no_peak(task, c)], ())[: width // 2 + 1]
     return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
@@ -127,14 +126,19 @@ def _further(race: Race, terms: Sequence[Term], rough: Sequence[Lead]) -> None:
             _again(race, terms, done)
 
 
-def shadows(engine: Engine, c: Candidate) -> bool:
-    """Whether an added mode sits on one that the structure has: then it mends that peak and is no mode of its own."""
+def no_peak(task: Task, c: Candidate) -> bool:
+    """Whether an added mode is no peak of its own: it mends one that the structure has, lies outside the lines, where
+    nobody sees a peak, or has run to a bound of its damping, as flanks and single lines make it do.
+    """
     if not c.last.data.get("extra_mode"):
         return False
-    b = engine.band_modes
+    engine, b = task.engine, task.engine.band_modes
     own = engine.state(c.fit.point.theta, changes_of(c.fit)).omega[b] * (1 + c.fit.point.shift) / 2 / np.pi
-    frequency = c.fit.point.terms[c.fit.point.terms.size - c.last.n]
-    return bool(np.any(np.abs(own - frequency) < 0.015 * frequency))
+    frequency, ratio = c.fit.point.terms[c.fit.point.terms.size - c.last.n :][:2]
+    if np.any(np.abs(own - frequency) < 0.015 * frequency):
+        return True
+    lines, damping = task.data.s.imag / 2 / np.pi, c.last.parameters[1]
+    return not (lines[0] < frequency < lines[-1] and 1.05 * damping.lower < ratio < damping.upper / 1.05)
 
 
 def _faint(lead: Lead) -> Lead:

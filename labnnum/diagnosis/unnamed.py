@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labnnum.diagnosis.race import Entry, Race, one_each, shadows, stage_of
+from labnnum.diagnosis.race import Entry, Race, no_peak, one_each, stage_of
 from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.search import Lead, grid_score, subspace_score
 from labnnum.diagnosis.task import Candidate, Task, afresh, among, idle, settled, winner_base
@@ -74,7 +74,7 @@ def told_by(task: Task, terms: Sequence[Term], before: Candidate, law: Candidate
             entries += [Entry(replace(lead, start=p), rung, origin) for p in (lead.start, *lead.others[:1])]
     race.run(entries)
     ahead = sorted(race.found, key=lambda c: c.cost)[:3]
-    return [task.priced(c.terms, task.refined(c.fit)) for c in ahead if not shadows(task.engine, c)]
+    return [task.priced(c.terms, task.refined(c.fit)) for c in ahead if not no_peak(task, c)]
 
 
 def told_all(law: Candidate | None, chain: Sequence[Candidate], data: Data, limits: Limits) -> bool:

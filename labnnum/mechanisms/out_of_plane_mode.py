@@ -32,7 +32,7 @@ class OutOfPlaneMode(Mechanism):
         shape = [Parameter(f"residue_{c.name}", 0.0, -np.inf, np.inf) for c in site.channels[: site.n_outputs]]
         parameters = (
             Parameter("frequency", float(np.sqrt(low * high)), 0.2 * low, 2.0 * high, "Hz"),
-            Parameter("damping_ratio", 0.01, 1e-4, 0.3, "1"),
+            Parameter("damping_ratio", 0.01, 1e-4, 0.1, "1"),
             *shape,
         )
         grid = np.exp(np.arange(np.log(0.3 * low), np.log(1.3 * high), 0.02))
