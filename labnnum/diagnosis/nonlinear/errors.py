@@ -62,21 +62,41 @@ def base_errors(
     found: Study, train: Sequence[Observation], test: Sequence[Observation], x: NDArray, scatter: Scatter
 ) -> tuple[float, float]:
     """Of the base model alone, at the vector `x`."""
+    joint = alone(found, train, test, scatter)
+    return errors_of(joint, x, [None] * len(joint.runs), len(train))
+
+
+def alone(found: Study, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter) -> Joint:
+    """The objective of the base model alone over training and held-out runs."""
     runs = [o.run for o in (*train, *test) if o.run is not None]
-    joint = Joint(found.engine, found.point, runs, (), scatter, [choose_lines(r, 300, scatter.floor) for r in runs])
-    return errors_of(joint, x, [None] * len(runs), len(train))
+    return Joint(found.engine, found.point, runs, (), scatter, [choose_lines(r, 300, scatter.floor) for r in runs])
 
 
-def errors_of(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) -> tuple[float, float]:
-    """Relative RMS errors over training and held-out runs; sensors' ordinary errors are taken from the training."""
+def foretold(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) -> tuple[float, int]:
+    """Chi-square of the runs held out, quiet lines among theirs, and of how many values.
+
+    Sensors' ordinary errors are taken from the training runs; without runs held out both are those of the training.
+    """
+    parts = _left(joint, x, orbits, n_train)
+    chosen = list(zip(joint.runs, parts, strict=True))[n_train:] or list(zip(joint.runs, parts, strict=True))
+    kept = [part[heard(run)] for run, part in chosen]
+    return float(sum(np.sum(part**2) for part in kept)), int(sum(part.size for part in kept))
+
+
+def _left(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) -> list[NDArray[np.float64]]:
+    """Whitened residuals of each run, sensors' ordinary errors as the training runs show them taken off."""
     r, b = joint.parts(x, orbits)
     cuts = np.cumsum([2 * lines.at.size for lines in joint.lines])
     own = slice(0, cuts[n_train - 1])
     gram = np.matmul(b[..., own], b[..., own].transpose(0, 2, 1)) + np.eye(b.shape[1])
     size = np.linalg.solve(gram, np.matmul(b[..., own], r[:, own, None]))
-    left = r - np.matmul(b.transpose(0, 2, 1), size)[..., 0]
+    return np.split(r - np.matmul(b.transpose(0, 2, 1), size)[..., 0], cuts[:-1], axis=1)
+
+
+def errors_of(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) -> tuple[float, float]:
+    """Relative RMS errors over training and held-out runs; sensors' ordinary errors are taken from the training."""
     each = []
-    for run, lines, part in zip(joint.runs, joint.lines, np.split(left, cuts[:-1], axis=1), strict=True):
+    for run, lines, part in zip(joint.runs, joint.lines, _left(joint, x, orbits, n_train), strict=True):
         spread = np.tile(lines.sigma, 2) / np.sqrt(2.0)
         power = np.sum(np.abs(run.seen(run.y)[:, lines.at]) ** 2, axis=1)
         each.append(np.mean((np.sum((part * spread) ** 2, axis=1) / power)[heard(run)]))

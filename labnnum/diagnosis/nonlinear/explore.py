@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,6 +128,10 @@ def explore(
             best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads))
         if dry or (near and near[0].made.data_part < MISLED * near[0].made.count):
             break
+    if best is not None and carry_on and not misled and best.level > MISLED:
+        # a slider that sticks at the quietest level is a spring, which a base with free stiffness takes for its own
+        sliders = stuck(bench, quiet, best.recovered, HELD, LONG)
+        best = replace(best, near=tuple(sorted([*best.near, *sliders], key=lambda t: t.cost)))
     return best
 
 

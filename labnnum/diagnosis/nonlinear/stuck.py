@@ -17,6 +17,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered
+from labnnum.diagnosis.nonlinear.fitting import reduced
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import LADDER
@@ -30,8 +31,13 @@ from labnnum.parameters import Parameter
 FACTORS = (1.0, 2.0)
 """Springs that are tried, of the one that the recovered force shows along the recovered motion: a motion that is
 recovered with errors makes a spring look softer."""
-LIMITS = (1.0, 1.4)
-"""Limits of the slider that are tried, of the RMS of the force at the highest level: a square wave, a sine."""
+OF_PLACE = (0.1, 0.5)
+"""And of the stiffness that the structure itself shows between the ends of the place: a base whose stiffness is free
+has taken the slider's spring for its own, and the recovered force shows nothing of it."""
+LIMITS = (0.1, 0.2, 0.4, 0.7, 1.1, 1.6)
+"""Limits of the slider that are looked at, of the spring's force at the RMS of the motion at the highest level."""
+BEST = 2
+"""Limits that are carried on, by what they leave."""
 NEAR = 3.0
 """Cost, of the least that a law alone leaves, the base held, below which a place is carried on."""
 MOST = 400
@@ -59,12 +65,13 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
     begun: list[list[Tried]] = []
     for q in sorted(found, key=lambda q: -q.share)[:most]:
         k = -float(np.linalg.lstsq(np.stack([q.z[quiet], q.v[quiet]], axis=1), q.f[quiet], rcond=None)[0][0])
-        if k <= 0:
-            continue
         point = beside_spring(bench.engine, data, q, k, bench.scatter).point
         x = np.concatenate([point.theta, point.shift, point.log_zeta, point.size])
         force = float(np.sqrt(np.mean(q.f[high] ** 2)))
-        made = [_law(bench, x, q, point.terms[0], limit * force, steps) for limit in LIMITS]
+        motion = float(np.sqrt(np.mean((q.z[high] - np.mean(q.z[high])) ** 2)))
+        limits = [force, 1.4 * force, *(f * point.terms[0] * motion for f in LIMITS)]
+        limits.sort(key=lambda limit: _left(bench, x, q, point.terms[0], limit))
+        made = [_law(bench, x, q, point.terms[0], limit, steps) for limit in limits[:BEST]]
         best = min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
         if best is not None:
             smooth = rounded(bench, best, steps)
@@ -72,6 +79,18 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
     least = min((t.cost for pair in begun for t in pair), default=0.0)
     near = [t for pair in begun if min(t.cost for t in pair) < NEAR * least for t in pair]
     return sorted((bench.carry_on(t, steps, last=False) for t in near), key=lambda t: t.cost)
+
+
+def _left(bench: Bench, x: NDArray, q: Recovered, k: float, limit: float) -> float:
+    """Objective of a slider as it stands; infinite where no steady state is found."""
+    p = np.zeros(N_P)
+    p[:2] = k, limit
+    joint = bench.joint([Lead(q.spot, "stick-slip", p, q.gain)])
+    start = joint.start(x)
+    orbits = joint.settle(start, [None] * len(bench.runs), 8)
+    if any(o is None or not np.isfinite(o.closing) for o in orbits):
+        return np.inf
+    return reduced(*joint.parts(start, orbits))[0]
 
 
 def _law(bench: Bench, x: NDArray, q: Recovered, k: float, limit: float, steps: int) -> Tried | None:
@@ -105,9 +124,10 @@ def quiet_data(run: Run, scatter: Scatter) -> Data:
 def beside_spring(engine: Engine, data: Data, q: Recovered, k: float, scatter: Scatter) -> Fit:
     """The base and a linear spring at a place fitted together, down a ladder of broadenings; the best end."""
     ends: list[Fit] = []
-    for factor in FACTORS:
-        term = _spring(q.spot.column[:, None], q, factor * k)
-        start = engine.start((term,), [factor * k])
+    own = own_stiffness(engine, q.spot.column)
+    for size in (*(f * k for f in FACTORS if k > 0), *(f * own for f in OF_PLACE)):
+        term = _spring(q.spot.column[:, None], q, size)
+        start = engine.start((term,), [size])
         rungs = [broaden(engine, data, start, (term,), kappa) for kappa in LADDER]
         for first in (0, len(rungs) - 1):
             x = start.vector()
@@ -115,6 +135,13 @@ def beside_spring(engine: Engine, data: Data, q: Recovered, k: float, scatter: S
                 x = fit(engine, rung, (term,), scatter, x, steps=8, tolerance=1.0).point.vector()
             ends.append(fit(engine, data, (term,), scatter, x, steps=20, tolerance=1.0))
     return min(ends, key=lambda f: f.objective)
+
+
+def own_stiffness(engine: Engine, column: NDArray) -> float:
+    """Static stiffness in N/m or N m/rad that the elastic modes of the band show along `column`."""
+    b = engine.band_modes
+    made = engine.state(engine.theta0)
+    return float(1.0 / max(np.sum((made.shape[:, b].T @ column) ** 2 / made.omega[b] ** 2), 1e-300))
 
 
 def _spring(column: NDArray, q: Recovered, k: float) -> Term:
