@@ -1,18 +1,22 @@
 """What has no name is not given one: laws outside the catalogue, change by chance, distortion beside drift, scales."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.gates import drifted
-from labnnum.diagnosis.nonlinear.decision import NAMELESS
+from labnnum.diagnosis.nonlinear.decision import NAMELESS, _foretells
 from labnnum.diagnosis.nonlinear.laws import SHAPES, TERMS, force_along
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.moved import moved
 from labnnum.diagnosis.nonlinear.prescribed import along
 from labnnum.diagnosis.nonlinear.scales import common, powers, scale_std
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.race import no_peak
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.diagnosis.verdict import Limits
 from labnnum.frf import Frf
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs
@@ -95,3 +99,35 @@ def test_laws_without_memory_are_the_marched_ones(name):
     assert len(TERMS) == N_P
     shape = SHAPES[name]
     assert force_along(shape, z, v, p) == pytest.approx(along(shape.code, z, v, p, 1))
+
+
+def _with_mode(frequency, ratio):
+    mode = SimpleNamespace(data={"extra_mode": True}, n=4, parameters=(None, SimpleNamespace(lower=1e-4, upper=0.1)))
+    point = SimpleNamespace(theta=np.zeros(1), shift=np.zeros(2), terms=np.array([frequency, ratio, 0.1, 0.2]))
+    made = SimpleNamespace(point=point, terms=(), n_theta=1)
+    state = SimpleNamespace(omega=2 * np.pi * np.array([20.0, 50.0]))
+    engine = SimpleNamespace(band_modes=np.arange(2), state=lambda theta, changes: state)
+    task = SimpleNamespace(engine=engine, data=SimpleNamespace(s=2j * np.pi * np.linspace(5.0, 100.0, 50)))
+    return no_peak(task, SimpleNamespace(last=mode, fit=made))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("frequency", "ratio", "none"),
+    [
+        (30.0, 0.01, False),
+        (4.0, 0.01, True),  # below the lines: a flank
+        (130.0, 0.01, True),  # above them
+        (30.0, 1e-4, True),  # a single line
+        (30.0, 0.1, True),  # no peak
+        (50.2, 0.01, True),  # one that the structure has
+    ],
+)
+def test_an_added_mode_is_a_peak_that_is_seen(frequency, ratio, none):
+    assert _with_mode(frequency, ratio) is none
+
+
+@pytest.mark.parametrize(
+    ("base", "law", "believed"), [(2400.0, 800.0, True), (1100.0, 800.0, False), (2400.0, 1500.0, False)]
+)
+def test_a_law_counts_that_foretells_distortion_alone(base, law, believed):
+    assert _foretells(((base, 1000), (law, 1000)), Limits()) is believed

@@ -18,7 +18,7 @@ from labnnum.diagnosis.nonlinear.problem import Acting, _fine
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
-from labnnum.diagnosis.nonlinear.stuck import beside_spring, quiet_data, stuck
+from labnnum.diagnosis.nonlinear.stuck import beside_spring, own_stiffness, quiet_data, stuck
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import (
@@ -87,6 +87,25 @@ def test_the_spring_of_a_slider_is_told_from_the_base():
     stiffness, limit = best.made.law(0)[0][:2]
     assert stiffness == pytest.approx(3000.0, rel=0.25)
     assert limit * (stiffness if best.mechanism == "hysteresis" else 1.0) == pytest.approx(20.0, rel=0.25)
+
+
+def test_a_limit_far_above_the_force_that_distorts_is_found():
+    """A slider that yields at the highest level only: what is recovered of its force is far below its limit."""
+    bench, i, every = _bench(Element("jenkins", joint_23(), (900.0, 40.0)), (2.0, 8.0, 40.0))
+    found, _ = looked(bench.joint([]), engine_start(bench.joint([])), every)
+    here = next(q for q in found if q.spot.place.id == "2" and q.spot.place.to == "3")
+    best = stuck(bench, i, [here], 1, 10)[0]
+    stiffness, limit = best.made.law(0)[0][:2]
+    assert stiffness == pytest.approx(900.0, rel=0.25)
+    assert limit * (stiffness if best.mechanism == "hysteresis" else 1.0) == pytest.approx(40.0, rel=0.25)
+
+
+def test_the_stiffness_of_a_place_is_that_of_its_link():
+    bench, _, every = _bench(Element("cubic", joint_23(), (1e-3,)), (1.0,))
+    here = next(s for s in every if s.place.id == "2" and s.place.to == "3")
+    k = np.linalg.pinv(np.real(bench.engine.structure.matrices(bench.engine.theta0).K))
+    exact = 1 / (here.column @ k @ here.column)
+    assert own_stiffness(bench.engine, here.column) == pytest.approx(exact, rel=0.5)
 
 
 def test_no_linear_model_explains_what_changes_with_level():

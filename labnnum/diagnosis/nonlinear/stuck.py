@@ -9,6 +9,7 @@ base as it is without it, and the force at the highest level shows the limit.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
-from labnnum.diagnosis.nonlinear.locate import Lead, Recovered
 from labnnum.diagnosis.nonlinear.fitting import reduced
+from labnnum.diagnosis.nonlinear.locate import Lead, Recovered
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import LADDER
@@ -62,6 +63,7 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
         return []
     data = quiet_data(run, bench.scatter)
     high = int(np.argmax([r.level for r in bench.runs]))
+    loud = replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],))
     begun: list[list[Tried]] = []
     for q in sorted(found, key=lambda q: -q.share)[:most]:
         k = -float(np.linalg.lstsq(np.stack([q.z[quiet], q.v[quiet]], axis=1), q.f[quiet], rcond=None)[0][0])
@@ -70,7 +72,7 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
         force = float(np.sqrt(np.mean(q.f[high] ** 2)))
         motion = float(np.sqrt(np.mean((q.z[high] - np.mean(q.z[high])) ** 2)))
         limits = [force, 1.4 * force, *(f * point.terms[0] * motion for f in LIMITS)]
-        limits.sort(key=lambda limit: _left(bench, x, q, point.terms[0], limit))
+        limits.sort(key=lambda limit: _left(loud, x, q, point.terms[0], limit))
         made = [_law(bench, x, q, point.terms[0], limit, steps) for limit in limits[:BEST]]
         best = min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
         if best is not None:
@@ -82,7 +84,7 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
 
 
 def _left(bench: Bench, x: NDArray, q: Recovered, k: float, limit: float) -> float:
-    """Objective of a slider as it stands; infinite where no steady state is found."""
+    """Objective of a slider as it stands, over the bench's runs; infinite where no steady state is found."""
     p = np.zeros(N_P)
     p[:2] = k, limit
     joint = bench.joint([Lead(q.spot, "stick-slip", p, q.gain)])
