@@ -21,6 +21,9 @@ from labnnum.diagnosis.worth import Judge, alarmed, improves, missing, one_law, 
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
 
+CHANGES = 0.1
+"""Change of the FRFs with level, relative and beyond noise, that no sound structure shows."""
+
 
 def same_answer(a: Term, b: Term) -> bool:
     """Whether two terms are one answer: the same mechanism at the same place, whatever the variant."""
@@ -94,6 +97,11 @@ def decide(
     if verdict == "consistent" and measured and base_error[1] > max(limits.sound, 3 * noise):
         verdict = "unexplained"
         reason = f"the updated model misses the data held out by {base_error[1]:.0%}, and nothing tried explains it"
+    nonlinear = nonlinear_signs(observations)
+    changes = nonlinear["level_dependence"]
+    if verdict == "consistent" and changes is not None and changes > CHANGES:
+        verdict = "unexplained"
+        reason = f"the FRFs change by {changes:.0%} with level, which no linear structure does, and nothing explains it"
     if gated:
         named = (*gated, *named)
         verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
@@ -115,7 +123,6 @@ def decide(
         "final": plain_final if named else plain_base, "selection": selection, "general": general, "reason": reason,
         "bayes": source.fit, "base_bayes": base.fit,
     }  # fmt: skip
-    nonlinear = nonlinear_signs(observations)
     shown = Diagnosis(
         verdict, named, place, alternatives, located, 1.0 / max(len(train.outputs) * len(train.inputs), 1), base_error,
         extended_error, noise, nonlinear, "", "", source.fit.point.theta, std,

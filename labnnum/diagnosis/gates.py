@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.creep import take_back
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Named
+from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.channel_clipping import ChannelClipping
 from labnnum.mechanisms.drift import Drift
@@ -40,7 +42,9 @@ class Gate:
 
 def pass_gates(observations: Sequence[Observation]) -> Gate:
     """Judge clipping; runs in which a channel clips are left out, or that channel where it clips in all of them."""
-    clips = [clipped_channel(o) for o in observations]
+    clips = beyond([clipped_channel(o) for o in observations], observations)
+    if not any(clips):
+        clips = bent_channel(observations)
     names = [c for c in clips if c]
     distorted = any(_spread_distortion(o) for o, c in zip(observations, clips, strict=True) if not c)
     if not names:
@@ -80,6 +84,67 @@ def clipped_channel(o: Observation) -> str:
     if len(piled) == 1 or (piled and odd is None):
         return max(piled, key=lambda n: piled[n])
     return ""
+
+
+RAIL = 1.1
+"""Ratio of a channel's highest reading to that of a run, above which the rail is not where that run ends."""
+ONE_RAIL = 1.005
+"""And the same of two runs that clip, above which they do not end at one rail."""
+BENT = 0.02
+"""Relative change of one channel's FRFs with level, beyond noise, that counts where no other channel changes by"""
+OTHERS = 0.1
+"""this part of it: a structure that changes with level changes them all."""
+
+
+def bent_channel(observations: Sequence[Observation]) -> list[str]:
+    """Run by run, the channel that does not read in proportion there: its FRFs alone differ from those of the lowest
+    level; empty elsewhere. Hits and noise hold no lines that would show the distortion itself.
+    """
+    none = [""] * len(observations)
+    known = [o for o in observations if np.isfinite(o.level) and o.level > 0]
+    if len(known) != len(observations) or len(known) < 2 or len(known[0].frf.outputs) < 2:
+        return none
+    if any(o.kind == "periodic" for o in observations):  # their quiet lines say it better
+        return none
+    low = min(known, key=lambda o: o.level)
+    changes: list[NDArray[np.float64]] = []
+    for o in observations:
+        change = np.zeros(len(low.frf.outputs)) if o is low else change_of_rows(low.frf, o.frf)
+        if change is None:
+            return none
+        changes.append(change)
+    top = max(changes, key=np.max)
+    row = int(np.argmax(top))
+    if top[row] < BENT or (np.delete(top, row) > OTHERS * top[row]).any():
+        return none
+    return [low.frf.outputs[row].name if c[row] > BENT else "" for c in changes]
+
+
+def beyond(clips: Sequence[str], observations: Sequence[Observation]) -> list[str]:
+    """Clipped channels, run by run, less those that have no rail: they read higher in another run than where they are
+    said to clip, or end at different readings in the runs in which they do.
+    """
+    out = list(clips)
+    for name in {n for n in clips if n}:
+        ends = [o.peaks.get(name, np.nan) for n, o in zip(clips, observations, strict=True) if n == name]
+        top = max(o.peaks.get(name, 0.0) for o in observations)
+        if min(ends) < top / RAIL or max(ends) > ONE_RAIL * min(ends):
+            out = ["" if n == name else n for n in out]
+    return out
+
+
+def change_of_rows(low: Frf, high: Frf) -> NDArray[np.float64] | None:
+    """Relative RMS difference (n_out,) of the FRFs of two runs on lines that both have, noise taken out; None where
+    they have other channels, or fewer than eight lines in common.
+    """
+    shared, i, j = np.intersect1d(np.round(low.frequency, 6), np.round(high.frequency, 6), return_indices=True)
+    same = [c.name for c in low.outputs] == [c.name for c in high.outputs] and len(low.inputs) == len(high.inputs)
+    if not same or shared.size < 8 or low.variance is None or high.variance is None:
+        return None
+    a, b = low.value[..., i], high.value[..., j]
+    noise = np.sum(low.variance[..., i] + high.variance[..., j], axis=(1, 2))
+    power = np.maximum(np.sum(np.abs(a - b) ** 2, axis=(1, 2)) - noise, 0.0)
+    return np.sqrt(power / np.sum(np.abs(a) ** 2, axis=(1, 2)))
 
 
 def _spread_distortion(o: Observation) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis import diagnose
-from labnnum.diagnosis.gates import drifted
+from labnnum.diagnosis.gates import bent_channel, beyond, drifted
 from labnnum.diagnosis.nonlinear.decision import NAMELESS, _foretells
 from labnnum.diagnosis.nonlinear.laws import SHAPES, TERMS, force_along
 from labnnum.diagnosis.nonlinear.march import N_P
@@ -131,3 +131,34 @@ def test_an_added_mode_is_a_peak_that_is_seen(frequency, ratio, none):
 )
 def test_a_law_counts_that_foretells_distortion_alone(base, law, believed):
     assert _foretells(((base, 1000), (law, 1000)), Limits()) is believed
+
+
+def _read(level, rows, peak, kind="hammer"):
+    frequency = np.linspace(1.0, 12.0, 60)
+    value = np.ones((3, 1, 60), complex) * np.asarray(rows, float)[:, None, None]
+    frf = Frf(frequency, value, OUTPUTS[:3], (FORCE,), None, np.full((3, 1, 60), 1e-8), 5.0)
+    return Observation(frf, level, "run", kind, peaks={OUTPUTS[1].name: peak})
+
+
+@pytest.mark.parametrize(
+    ("rows", "kind", "found"),
+    [
+        ((1.0, 0.9, 1.0), "hammer", True),
+        ((0.95, 0.9, 1.02), "hammer", False),  # the structure changes with level
+        ((1.0, 0.99, 1.0), "hammer", False),  # too little
+        ((1.0, 0.9, 1.0), "periodic", False),
+    ],
+)
+def test_a_channel_that_alone_reads_less_at_the_higher_level_clips(rows, kind, found):
+    runs = [_read(1.0, (1, 1, 1), 1.0, kind), _read(3.0, rows, 2.0, kind)]
+    assert bent_channel(runs) == ["", OUTPUTS[1].name if found else ""]
+
+
+def test_a_rail_is_where_all_loud_runs_end():
+    name = OUTPUTS[1].name
+    runs = [_read(level, (1, 1, 1), peak) for level, peak in ((1, 1.0), (3, 2.5), (9, 2.5), (9, 2.5))]
+    assert beyond(["", name, name, name], runs) == ["", name, name, name]
+    louder = [*runs, _read(9, (1, 1, 1), 4.0)]
+    assert not any(beyond(["", name, name, name, ""], louder))
+    apart = [*runs[:3], _read(9, (1, 1, 1), 2.6)]
+    assert not any(beyond(["", "", name, name], apart))
