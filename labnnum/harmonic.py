@@ -122,7 +122,7 @@ class HarmonicBalance:
         """What the equation leaves of each harmonic, (2 h + 1,)."""
         u = self.shape @ x
         v = omega * (self.rate @ x)
-        turns = 2 if self.o.law in ("stick-slip", "hysteresis") else 1
+        turns = 2 if self.o.law in ("stick-slip", "sliders", "hysteresis") else 1
         f = along(CODES[self.o.law], u, v, self.p, turns)
         out = self.back @ f
         out[0] += self.o.stiffness * x[0]
@@ -212,7 +212,7 @@ class HarmonicBalance:
 
         Laws with memory or dry friction have no tangent of this kind; they are called stable.
         """
-        if self.o.law in ("coulomb", "stick-slip", "hysteresis"):
+        if self.o.law in ("coulomb", "stick-slip", "sliders", "hysteresis"):
             return True
         u, v = self.shape @ x, omega * (self.rate @ x)
         step = 2 * np.pi / omega / u.size

@@ -176,5 +176,6 @@ def _known(structure: Structure) -> list[Lead]:
         p[: len(law.parameters)] = [q.nominal for q in law.parameters]
         term, column = law.term, np.asarray(law.term.data["column"], float)
         reverse = term.variant.startswith("-")
-        out.append(Lead(Spot(term.place, term.variant, -column if reverse else column), term.mechanism.id, p, 0.0))
+        spot = Spot(term.place, term.variant, -column if reverse else column)
+        out.append(Lead(spot, "sliders" if term.mechanism.id == "stick-slip" and p[2] else term.mechanism.id, p, 0.0))
     return out

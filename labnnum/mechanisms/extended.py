@@ -89,7 +89,8 @@ class ExtendedStructure(Structure):
 
     def law_elements(self) -> tuple[Element, ...]:
         """The nonlinear laws as the time simulation takes them, at the values that the model file holds."""
-        return tuple(a.term.mechanism.element(a.term, [p.nominal for p in a.parameters]) for a in self.laws)  # pyright: ignore[reportAttributeAccessIssue]
+        made = (a.term.mechanism.elements(a.term, [p.nominal for p in a.parameters]) for a in self.laws)  # pyright: ignore[reportAttributeAccessIssue]
+        return tuple(e for several in made for e in several)
 
     @cached_property
     def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray]:
@@ -337,7 +338,8 @@ def extend(
 
 def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any]) -> Added:
     place = Place(**{"kind": "global", "id": "structure", "to": None, **entry.get("place", {})})
-    values = {k: (v if isinstance(v, Mapping) else {"value": v}) for k, v in entry.get("parameters", {}).items()}
+    told = {**getattr(mechanism, "defaults", {}), **entry.get("parameters", {})}
+    values = {k: (v if isinstance(v, Mapping) else {"value": v}) for k, v in told.items()}
     variant = str(entry.get("variant", ""))
     term = _find(structure, mechanism, place, variant, entry, values)
     parameters = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ class NonlinearMechanism(Mechanism):
     positive: bool = True
     sides: bool = False
     """Whether the law differs for the two senses of the motion; variants "-x" stand for the reversed one."""
+    defaults: ClassVar[dict[str, float]] = {}
+    """Parameters that a model file may leave out, with their values there."""
 
     def terms(self, site: Site) -> Iterable[Term]:
         """Each translation of each node against the ground, each motion of neighbours against each other."""
@@ -70,14 +73,14 @@ class NonlinearMechanism(Mechanism):
             raise ConfigError(f"mechanism {self.id!r} cannot act at {place} along {axis!r}: there is no such motion")
         return self.term(place, variant, sign * column[:, 0])
 
-    def element(self, term: Term, p: Sequence[float]) -> Element:
-        """The law of a term for `labnnum.nonlinear`, in its words."""
-        law = {"coulomb-friction": "coulomb", "stick-slip": "jenkins", "hysteresis": "bouc-wen"}.get(self.id, self.id)
+    def elements(self, term: Term, p: Sequence[float]) -> tuple[Element, ...]:
+        """The law of a term for `labnnum.nonlinear`, in its words: elements that act side by side."""
+        law = {"coulomb-friction": "coulomb", "hysteresis": "bouc-wen"}.get(self.id, self.id)
         values = tuple(float(v) for v in p)
         if self.id == "hysteresis":
             k, limit, n, share = values
             values = (k, share / limit**n, (1 - share) / limit**n, n)
-        return Element(law.removesuffix("-stiffness"), np.asarray(term.data["column"], float), values)
+        return (Element(law.removesuffix("-stiffness"), np.asarray(term.data["column"], float), values),)
 
     def sense(self, term: Term, p: NDArray) -> str | None:
         """Hardening or softening where the sign of the first parameter says so."""

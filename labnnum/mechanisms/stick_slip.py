@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
+import numpy as np
+
+from labnnum.mechanisms.base import Term
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+from labnnum.nonlinear import Element
+
+SLIDERS = 8
+"""Sliders that stand for limits that are spread."""
 
 
 @final
 @dataclass(frozen=True)
 class StickSlip(NonlinearMechanism):
-    """f = k_t (z - z_s), |f| <= F_s."""
+    """f = k_t (z - z_s), |f| <= F_s; with a `spread` many such sliders side by side, k_t and F_s of all together.
+
+    Their limits are spread evenly over the mean one times 1 - spread to 1 + spread (Iwan 1966), so that they let go one
+    after the other.
+    """
 
     id = "stick-slip"
     title = "spring in series with a dry slider (Jenkins)"
@@ -20,7 +32,17 @@ class StickSlip(NonlinearMechanism):
     told_apart = "coulomb-friction has no elastic part; hysteresis yields gradually"
     symbol = "spring and slider"
     reference = "Iwan (1966)"
-    names = ("k_t", "F_s")
-    units = ("N/m", "N")
+    names = ("k_t", "F_s", "spread")
+    units = ("N/m", "N", "1")
     positive = True
     sides = False
+    defaults: ClassVar[dict[str, float]] = {"spread": 0.0}
+
+    def elements(self, term: Term, p: Sequence[float]) -> tuple[Element, ...]:
+        """One slider, or one for each part of the spread."""
+        k, force, spread = (*p, 0.0)[:3]
+        column = np.asarray(term.data["column"], float)
+        if spread == 0.0:
+            return (Element("jenkins", column, (float(k), float(force))),)
+        odds = 1.0 + spread * (2.0 * np.arange(SLIDERS) + 1.0 - SLIDERS) / SLIDERS
+        return tuple(Element("jenkins", column, (k / SLIDERS, force / SLIDERS * float(o))) for o in odds)

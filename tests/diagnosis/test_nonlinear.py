@@ -11,6 +11,8 @@ from labnnum.diagnosis.nonlinear.march import CODES
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.mechanisms.base import Place
+from labnnum.mechanisms.stick_slip import StickSlip
 from labnnum.nonlinear import Element, NonlinearSimulation
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel, Recording
@@ -78,7 +80,13 @@ LAWS = [
     ("quadratic-damping", (2.0,), "quadratic-damping", (2.0,), 2e-3),
     ("stick-slip", (400.0, 6.0), "jenkins", (400.0, 6.0), 5e-3),
     ("hysteresis", (400.0, 0.03, 2.0, 0.5), "bouc-wen", (400.0, 0.5 / 0.03**2, 0.5 / 0.03**2, 2.0), 5e-3),
+    ("sliders", (400.0, 6.0, 0.7), "", (), 5e-3),
 ]
+
+
+def spread_sliders(k, force, spread):
+    """What `stick-slip` with limits that are spread is to the bench."""
+    return StickSlip().elements(StickSlip().term(Place("joint", "2", "3"), "x", joint_23()), (k, force, spread))
 
 
 @pytest.mark.parametrize(("law", "p", "other", "q", "close"), LAWS, ids=[row[0] for row in LAWS])
@@ -90,7 +98,8 @@ def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
     assert orbit.closing < 1e-4
     linear = r.lift * (r.plain * spectrum)
     made = linear + r.lift * (r.h * orbit.force).sum(axis=1)
-    truth = lines_of(marched(spectrum, [Element(other, joint_23(), q)], structure))
+    elements = [Element(other, joint_23(), q)] if other else spread_sliders(*p)
+    truth = lines_of(marched(spectrum, elements, structure))
     inside = slice(7, 150)
     change = np.linalg.norm((truth - linear)[:, inside])
     assert change > 0.01 * np.linalg.norm(truth[:, inside])  # the law matters
@@ -98,7 +107,13 @@ def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
 
 
 @pytest.mark.parametrize(
-    ("law", "p"), [("cubic", (3e4,)), ("quadratic-damping", (2.0,)), ("clearance", (500.0, 0.002))]
+    ("law", "p"),
+    [
+        ("cubic", (3e4,)),
+        ("quadratic-damping", (2.0,)),
+        ("clearance", (500.0, 0.002)),
+        ("sliders", (400.0, 6.0, 0.7)),
+    ],
 )
 def test_slopes_are_those_of_finite_steps(law, p):
     base, solver, parameters = steady(chain(), multisine(25.0, 2), law, p)

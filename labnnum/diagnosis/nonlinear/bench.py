@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
-from labnnum.diagnosis.nonlinear.laws import SHAPES
+from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.march import N_P
@@ -48,10 +48,15 @@ class Tried:
         """Whether its law is one of the catalogue."""
         return self.mechanism != "general"
 
+    @property
+    def name(self) -> str:
+        """The mechanism of the catalogue that it is."""
+        return NAMES.get(self.mechanism, self.mechanism)
+
     def same(self, other: Tried) -> bool:
         """Whether both are one answer."""
         same_terms = self.named or np.array_equal(self.lead.p != 0, other.lead.p != 0)
-        return self.mechanism == other.mechanism and self.spot.place == other.spot.place and same_terms
+        return self.name == other.name and self.spot.place == other.spot.place and same_terms
 
 
 @dataclass(frozen=True, eq=False)

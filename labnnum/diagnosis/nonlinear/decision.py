@@ -141,7 +141,7 @@ def decide(
         )
         if extended_error[1] > 1.05 * base_error[1] or not _foretells(scores, limits):
             reason = USELESS
-    if not reason and len({(t.mechanism, t.spot.place) for t in laws if t.mechanism in MECHANISMS}) > MOST:
+    if not reason and len({(t.name, t.spot.place) for t in laws if t.name in MECHANISMS}) > MOST:
         reason = "it takes more than two named laws, which may stand for one that has no name"
     if max(base_error) < scatter.floor:
         reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
@@ -210,7 +210,7 @@ def unsimulated(
 
 def _only_smoother(t: Tried, best: Tried) -> bool:
     """Whether a law is the best one with its corners rounded, which explains no less: the simpler is preferred."""
-    return t.mechanism == "hysteresis" and best.mechanism == "stick-slip" and t.spot.place == best.spot.place
+    return t.mechanism == "hysteresis" and best.name == "stick-slip" and t.spot.place == best.spot.place
 
 
 def _level(t: Tried, other: Tried) -> float:
@@ -251,12 +251,13 @@ def _all_named(
     for i, t in enumerate(laws):
         if not t.named:
             continue
-        mechanism = MECHANISMS[t.mechanism]
+        mechanism = MECHANISMS[t.name]
         value, std = last.law(i)
-        n = len(mechanism.names)
+        n = min(len(mechanism.names), value.size)
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
+        term = replace(term, parameters=term.parameters[:n])
         trust = _confidence(laws[0], rivals) if i == 0 else 0.95
-        common = scale_std(mechanism.units, value[:n], scatter, max(n_out, 1), based)
+        common = scale_std(mechanism.units[:n], value[:n], scatter, max(n_out, 1), based)
         out.append(Named(term, value[:n], np.hypot(std[:n] * np.sqrt(excess), common), trust))
     return tuple(out)
 
@@ -271,10 +272,10 @@ def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple
     out = []
     for t in sorted(rivals, key=lambda t: t.cost)[:6]:
         gap = t.cost - best.cost
-        name = f"{best.mechanism} at {best.spot.place}"
+        name = f"{best.name} at {best.spot.place}"
         equal = gap < limits.name
         why = f"explains as well as {name} (chi-square + {gap:.1f})" if equal else f"leaves {gap:.0f} more than {name}"
-        mechanism = MECHANISMS[t.mechanism]
+        mechanism = MECHANISMS[t.name]
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
         out.append(Alternative(term, float("nan"), t.cost, why))
     return tuple(out)

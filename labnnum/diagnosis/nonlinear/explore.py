@@ -17,7 +17,7 @@ from labnnum.diagnosis.nonlinear.locate import Background, Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.diagnosis.nonlinear.stuck import stuck
+from labnnum.diagnosis.nonlinear.stuck import spread_lead, stuck
 from labnnum.diagnosis.scatter import Scatter
 
 LAWS = (
@@ -221,7 +221,7 @@ NEAR = 3.0
 def followed(
     bench: Bench, starts: Sequence[NDArray], leads: Sequence[Lead], carry_on: bool = True
 ) -> list[Tried]:  # fmt: skip
-    """Leads fitted along the recovered motion, best first; hysteresis wherever a slider comes near.
+    """Leads fitted along the recovered motion, best first; many sliders and hysteresis wherever a slider comes near.
 
     `starts` are base vectors: a strong law may have misled the base that was fitted without it.
     """
@@ -259,9 +259,9 @@ def followed(
         done.append(t)
     done.sort(key=lambda t: t.cost)
     for t in [t for t in done if t.mechanism == "stick-slip" and t.cost < NEAR * done[0].cost][:2]:
-        smooth = _smooth(bench, t)
-        if smooth is not None:
-            done.append(smooth)
+        lead = spread_lead(t)
+        softer = _smooth(bench, t), bench.follow(t.made.x[: t.made.n_base], lead, LONG)
+        done += [s for s in softer if s is not None]
     return sorted(done, key=lambda t: t.cost)
 
 

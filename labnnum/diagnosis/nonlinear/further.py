@@ -79,7 +79,7 @@ def further(
     return best if gain > max(alarm, GAIN * left) else None
 
 
-MEMORY = ("stick-slip", "hysteresis", "coulomb-friction")
+MEMORY = ("stick-slip", "sliders", "hysteresis", "coulomb-friction")
 """Laws of which one contains another: a slider without a spring, with one, with its corners rounded."""
 
 
@@ -95,7 +95,7 @@ def _with_one_more(o: Orbit | None) -> Orbit | None:
         return None
     zero = np.zeros_like(o.force[:1])
     return Orbit(
-        o.x, np.append(o.f, 0.0), np.vstack([o.memory, np.zeros((1, 2))]), np.vstack([o.force, zero]),
+        o.x, np.append(o.f, 0.0), np.vstack([o.memory, np.zeros_like(o.memory[:1])]), np.vstack([o.force, zero]),
         np.hstack([o.time, np.zeros((o.time.shape[0], 1))]),
         np.concatenate([o.motion, np.zeros((o.motion.shape[0], 1, 2))], axis=1), o.closing,
     )  # fmt: skip

@@ -46,8 +46,11 @@ SHAPES: dict[str, LawShape] = {
     "stick-slip": LawShape("stick-slip", 1, True, ("slip",)),
     "hysteresis": LawShape("hysteresis", 1, True, ("length", "power", "share")),
     "general": LawShape("general", 10, False),
+    "sliders": LawShape("sliders", 1, True, ("slip", "share")),
 }
-"""Mechanism id -> law."""
+"""Mechanism id, or `sliders` for a stick-slip whose limits are spread, -> law."""
+NAMES = {"sliders": "stick-slip"}
+"""Mechanism that a law is named by, where that is not its own."""
 
 FRACTIONS = np.array([0.0, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92])
 """Gaps and slip motions that are tried, of the largest motion."""
@@ -77,7 +80,7 @@ def force_along(shape: LawShape, z: NDArray, v: NDArray, p: NDArray, around: boo
     quick = _without_memory(shape.law, z, v, p)
     if quick is not None:
         return quick
-    turns = 2 if around and shape.law in ("stick-slip", "hysteresis") else 1
+    turns = 2 if around and shape.law in ("stick-slip", "sliders", "hysteresis") else 1
     return along(shape.code, np.ascontiguousarray(z), np.ascontiguousarray(v), np.ascontiguousarray(p), turns)
 
 

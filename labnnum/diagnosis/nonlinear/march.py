@@ -8,6 +8,8 @@ to anything that moves the source.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numba import njit
 
@@ -21,6 +23,7 @@ LAWS: dict[str, tuple[str, ...]] = {
     "stick-slip": ("k_t", "F_s"),
     "hysteresis": ("k", "limit", "n", "beta_share"),
     "general": tuple(f"c{i}" for i in range(10)),
+    "sliders": ("k_t", "F_s", "spread"),
 }
 """Laws and their parameters; z is the motion, v its rate, the force opposes:
 
@@ -28,11 +31,52 @@ LAWS: dict[str, tuple[str, ...]] = {
   quadratic-damping c2 v |v|; stick-slip: a spring k_t in series with a slider that yields at F_s
 - hysteresis: k h, dh/dz = 1 - (b sign(v h) + 1 - b) |h / limit|^n
 - general: a smooth law without memory; see `labnnum.diagnosis.nonlinear.laws.general_basis`
+- sliders: `SLIDERS` sliders on equal springs side by side, k_t and F_s of all together, whose limits are spread evenly
+  over the mean one times 1 - spread to 1 + spread (Iwan 1966)
 """
 
 CODES = {name: code for code, name in enumerate(LAWS)}
 N_P = 10
 """Room for the parameters of any law."""
+SLIDERS = 8
+"""Sliders that stand for a distribution of limits, each in the middle of its part."""
+
+
+def remembered(codes: Iterable[int]) -> int:
+    """Numbers of memory that each of these laws has room for."""
+    return max(2, SLIDERS if CODES["sliders"] in codes else 2)
+
+
+@njit(cache=True, inline="always")
+def _odds(i, p):  # pragma: no cover - compiled
+    """Limit of slider i, of the mean one."""
+    return 1.0 + p[2] * (2.0 * i + 1.0 - SLIDERS) / SLIDERS
+
+
+@njit(cache=True, inline="always")
+def _slips(i, z, p, memory):  # pragma: no cover - compiled
+    """Whether slider i moves on the way to z."""
+    return p[0] * abs(z - memory[i]) > p[1] * _odds(i, p)
+
+
+@njit(cache=True)
+def _slide(z, p, memory, lp):  # pragma: no cover - compiled
+    """Opposing force of sliders side by side that stood at `memory`, and its slope to z; `lp` as in `law`."""
+    force, slope = 0.0, 0.0
+    spring, mean = p[0] / SLIDERS, p[1] / SLIDERS
+    for i in range(SLIDERS):
+        odds = _odds(i, p)
+        trial, limit = spring * (z - memory[i]), mean * odds
+        if abs(trial) > limit:
+            s = 1.0 if trial > 0 else -1.0
+            force += s * limit
+            lp[1] += s * odds / SLIDERS
+            lp[2] += s * mean * (2.0 * i + 1.0 - SLIDERS) / SLIDERS
+        else:
+            force += trial
+            slope += spring
+            lp[0] += (z - memory[i]) / SLIDERS
+    return force, slope
 
 
 @njit(cache=True)
@@ -117,6 +161,9 @@ def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
         lp[2] = p[0] * d[3]
         lp[3] = p[0] * d[4]
         return p[0] * h, p[0] * d[0], 0.0
+    if code == 9:
+        force, slope = _slide(z, p, memory, lp)
+        return force, slope, 0.0
     az, av = abs(z), abs(v)
     lp[0] = z * az
     lp[1] = z * z
@@ -181,8 +228,8 @@ def march(
 
     T (4, m), W0 and W1 (2, m) transition and weights of each mode; w (k, m) motions; gz, gv (k, k) what a force
     does within its own step, `before` (k, k) what of the speed the force of the step before takes away; x (2, m),
-    f (k,), memory (k, 2) state, changed in place. Tangents: X (2, m, t), df
-    (k, t), dmem (k, 2, t) their states; dp (k, P, t) which parameter each varies; ds (n, k, 2, s) their sources, those
+    f (k,), memory (k, M) state, changed in place. Tangents: X (2, m, t), df
+    (k, t), dmem (k, M, t) their states; dp (k, P, t) which parameter each varies; ds (n, k, 2, s) their sources, those
     of the first s tangents; dforces (n, k, t). Returns the number of steps whose forces did not settle.
     """
     n, k = forces.shape
@@ -307,6 +354,11 @@ def march(
                     elif code == 7:
                         total += p[e, 0] * (d[e, 1] * dmem[e, 1, t] - d[e, 0] * dmem[e, 0, t])
                     rhs[e, t] = -total
+                if code == 9:
+                    for i in range(SLIDERS):
+                        if not _slips(i, motion[step, e, 0], p[e], memory[e]):
+                            for t in range(nt):
+                                rhs[e, t] += p[e, 0] / SLIDERS * dmem[e, i, t]
             for e in range(k):
                 if fv[e] > 1e29:
                     for t in range(nt):
@@ -349,6 +401,20 @@ def march(
                             + d[e, 2] * dp[e, 1, t] + d[e, 3] * dp[e, 2, t] + d[e, 4] * dp[e, 3, t]
                         )  # fmt: skip
                         dmem[e, 0, t] = dz
+                elif code == 9 and p[e, 0] > 0.0:
+                    for i in range(SLIDERS):
+                        if not _slips(i, motion[step, e, 0], p[e], memory[e]):
+                            continue
+                        s = 1.0 if motion[step, e, 0] > memory[e, i] else -1.0
+                        odds = _odds(i, p[e])
+                        part = (2.0 * i + 1.0 - SLIDERS) / SLIDERS
+                        for t in range(nt):
+                            dz = dsee[e, 0, t]
+                            for o in range(k):
+                                dz += gz[e, o] * df[o, t]
+                            back = dp[e, 1, t] * odds + p[e, 1] * part * dp[e, 2, t]
+                            back -= p[e, 1] * odds * dp[e, 0, t] / p[e, 0]
+                            dmem[e, i, t] = dz - s * back / p[e, 0]
         for e in range(k):
             code = codes[e]
             if code == 6:
@@ -360,6 +426,11 @@ def march(
                 h = _hysteretic(z, p[e], memory[e], d[e])
                 memory[e, 0] = z
                 memory[e, 1] = h
+            elif code == 9 and p[e, 0] > 0.0:
+                z = motion[step, e, 0]
+                for i in range(SLIDERS):
+                    if _slips(i, z, p[e], memory[e]):
+                        memory[e, i] = z - np.sign(z - memory[e, i]) * p[e, 1] * _odds(i, p[e]) / p[e, 0]
             f[e] = new[e]
     for r in range(m):
         for e in range(k):

@@ -14,7 +14,7 @@ SINGULAR = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
-    """A steady state: modal state (2, m), forces (k,) and memory (k, 2) just before time 0, and over the period.
+    """A steady state: modal state (2, m), forces (k,) and memory (k, M) just before time 0, and over the period.
 
     `force` (k, n_lines) spectrum of the forces on the structure, `time` (n, k) the same in time, `motion` (n, k, 2).
     `closing` relative change of the state over the period; `bad` steps whose forces did not settle. `fed` the forces
@@ -53,7 +53,11 @@ def state_of(orbit: Orbit) -> NDArray[np.float64]:
 
 def parts_of(state: NDArray, m: int, k: int) -> tuple[NDArray, NDArray, NDArray]:
     """Such a vector taken apart."""
-    return state[: 2 * m].reshape(2, m).copy(), state[2 * m : 2 * m + k].copy(), state[2 * m + k :].reshape(k, 2).copy()
+    return (
+        state[: 2 * m].reshape(2, m).copy(),
+        state[2 * m : 2 * m + k].copy(),
+        state[2 * m + k :].reshape(k, -1).copy(),
+    )
 
 
 def relative(change: NDArray, whole: NDArray) -> float:

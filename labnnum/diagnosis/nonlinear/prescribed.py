@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from labnnum.diagnosis.nonlinear.march import law
+from labnnum.diagnosis.nonlinear.march import SLIDERS, law
 
 
 @njit(cache=True)
@@ -58,6 +58,14 @@ def along(code, z, v, p, turns):  # pragma: no cover - compiled
         return _loop(z, p, turns)
     if code == 6:
         return _slid(z, p, turns)
+    if code == 9:
+        out = np.zeros(z.size)
+        one = np.empty(2)
+        for i in range(SLIDERS):
+            one[0] = p[0] / SLIDERS
+            one[1] = p[1] / SLIDERS * (1.0 + p[2] * (2.0 * i + 1.0 - SLIDERS) / SLIDERS)
+            out += _slid(z, one, turns)
+        return out
     n = z.size
     out = np.empty(n)
     memory = np.zeros(2)

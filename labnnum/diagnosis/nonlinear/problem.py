@@ -25,7 +25,7 @@ FINE_STEPS = 3.3
 JUMPING, JUMPING_LAST = 8.0, 32.0
 """The same where a force jumps, in the search and in the last fit: a jump that comes half a step late lets its limit
 come out too high, by a third of friction that mostly holds."""
-KINKED, KINKED_LAST = ("stick-slip", "hysteresis", "one-sided-gap", "clearance"), 8.0
+KINKED, KINKED_LAST = ("stick-slip", "sliders", "hysteresis", "one-sided-gap", "clearance"), 8.0
 """Laws whose force has corners, and the same for their last fit where they leave too much: what folds back of a strong
 one's harmonics looks like a misfit, of 10 to 50 times the noise on the chain and the beam that were tried, which no law
 explains."""
@@ -125,8 +125,10 @@ class Joint:
                 one_low[:] = 0.0
             if t.shape.law == "one-sided-gap":
                 one_low[1] = 0.0
-            if t.shape.law in ("stick-slip", "clearance", "hysteresis"):
+            if t.shape.law in ("stick-slip", "sliders", "clearance", "hysteresis"):
                 one_low[:2] = 1e-6 * s[:2]
+            if t.shape.law == "sliders":
+                one_high[2] = 1.0
             if t.shape.law == "hysteresis":
                 one_low[2:4], one_high[2:4] = (0.6, PASSIVE), (6.0, 1.0)
             if t.shape.law == "general":

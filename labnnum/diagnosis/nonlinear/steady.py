@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 
 from labnnum.diagnosis.nonlinear.discrete import Discrete, described, discrete, feedback
-from labnnum.diagnosis.nonlinear.march import N_P, march
+from labnnum.diagnosis.nonlinear.march import N_P, march, remembered
 from labnnum.diagnosis.nonlinear.orbit import Orbit, Slopes, closed, parts_of, relative, state_of
 from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.run import Run, precise
@@ -48,6 +48,7 @@ class Steady:
     def __init__(self, run: Run, codes: NDArray, fine: int) -> None:
         self.run, self.codes = run, np.asarray(codes, np.int64)
         self.k = self.codes.size
+        self.room = remembered(self.codes.tolist())
         self.fine = fine
         self.n = run.period * fine
         self.step = 1.0 / (run.rate * fine)
@@ -128,7 +129,7 @@ class Steady:
         made = self.prepare(r)
         x = self.begun(r, made, force)
         motion = np.zeros((self.n, self.k, 2))
-        memory = np.zeros((self.k, 2))
+        memory = np.zeros((self.k, self.room))
         return Orbit(x, time[-1].copy(), memory, force, time, motion)
 
     def settle(
@@ -152,7 +153,11 @@ class Steady:
                 fed = self.fed(r, made, orbit, one.motion, one.time, force)
                 orbit = Orbit(x, f, memory, force, one.time, one.motion, 1.0, one.bad, fed=fed)
                 continue
-            chord = orbit.inverse is not None and orbit.inverse.shape[0] == 2 * m + 3 * self.k and orbit.closing < 0.02
+            chord = (
+                orbit.inverse is not None
+                and orbit.inverse.shape[0] == 2 * m + (1 + self.room) * self.k
+                and orbit.closing < 0.02
+            )
             source = self.source(r, made, orbit.source)
             one = self._march(made, source, p, orbit, homogeneous=not chord)
             if not np.isfinite(one.state).all():
@@ -192,6 +197,11 @@ class Steady:
         made = self.prepare(r)
         if orbit.x.shape[1] != made.w.shape[1]:  # a mode has moved out of those that are marched, or into them
             orbit = replace(orbit, x=self.begun(r, made, orbit.force), closing=np.inf, inverse=None, floquet=None)
+        if orbit.memory.shape[1] != self.room:  # a law with more to remember has come or gone
+            memory = np.zeros((self.k, self.room))
+            n = min(self.room, orbit.memory.shape[1])
+            memory[:, :n] = orbit.memory[:, :n]
+            orbit = replace(orbit, memory=memory, inverse=None, floquet=None)
         if orbit.time.shape[0] == self.n:
             return orbit
         time = np.ascontiguousarray(np.moveaxis(self.to_time(orbit.force), -1, 0))
@@ -202,7 +212,7 @@ class Steady:
         """The march from rest (a hit), or from where the stretch ends (an open run), until its correction stands."""
         made = self.prepare(r)
         m = made.w.shape[1]
-        rest = np.zeros((2, m)), np.zeros(self.k), np.zeros((self.k, 2))
+        rest = np.zeros((2, m)), np.zeros(self.k), np.zeros((self.k, self.room))
         for _ in range(PASSES[int(np.isfinite(orbit.closing))]):
             if self.run.decay:
                 orbit = replace(orbit, x=rest[0], f=rest[1], memory=rest[2])
@@ -281,7 +291,7 @@ class Steady:
         """The same where no period closes: the tangents begin at rest too, and what they forget does not count."""
         made = self.prepare(r)
         m = made.w.shape[1]
-        begin = replace(orbit, x=np.zeros((2, m)), f=np.zeros(self.k), memory=np.zeros((self.k, 2)))
+        begin = replace(orbit, x=np.zeros((2, m)), f=np.zeros(self.k), memory=np.zeros((self.k, self.room)))
         begin = begin if self.run.decay else orbit
         one = self._march(made, self.source(r, made, orbit.source), p, begin, vary=vary, ds=ds)
         if not (np.isfinite(one.slopes).all() and np.isfinite(one.time).all()):
@@ -303,15 +313,16 @@ class Steady:
         m, k = made.w.shape[1], self.k
         n_s = 0 if ds is None else ds.shape[3]
         n_v = 0 if vary is None else vary.shape[0]
-        n_h = 2 * m + 3 * k if homogeneous else 0
+        n_h = 2 * m + (1 + self.room) * k if homogeneous else 0
         nt = n_s + n_v + n_h
         X = np.zeros((2, m, nt))
         if homogeneous:
             X.reshape(2 * m, nt)[np.arange(2 * m), n_s + n_v + np.arange(2 * m)] = 1.0
-        df, dmem = np.zeros((k, nt)), np.zeros((k, 2, nt))
+        df, dmem = np.zeros((k, nt)), np.zeros((k, self.room, nt))
         if homogeneous:
             df[np.arange(k), n_s + n_v + 2 * m + np.arange(k)] = 1.0
-            dmem.reshape(2 * k, nt)[np.arange(2 * k), n_s + n_v + 2 * m + k + np.arange(2 * k)] = 1.0
+            held = np.arange(self.room * k)
+            dmem.reshape(held.size, nt)[held, n_s + n_v + 2 * m + k + held] = 1.0
         dp = np.zeros((k, N_P, nt))
         if vary is not None:
             dp[:, :, n_s : n_s + n_v] = np.moveaxis(vary, 0, -1)
@@ -324,7 +335,7 @@ class Steady:
             made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, source, self.codes,
             np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes,
         )  # fmt: skip
-        end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(2 * k, nt)])
+        end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(self.room * k, nt)])
         return _Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)
 
 

@@ -76,8 +76,8 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
         made = [_law(bench, x, q, point.terms[0], limit, steps) for limit in limits[:BEST]]
         best = min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
         if best is not None:
-            smooth = rounded(bench, best, steps)
-            begun.append([t for t in (best, smooth) if t is not None])
+            softer = rounded(bench, best, steps), spread(bench, best, steps)
+            begun.append([t for t in (best, *softer) if t is not None])
     least = min((t.cost for pair in begun for t in pair), default=0.0)
     near = [t for pair in begun if min(t.cost for t in pair) < NEAR * least for t in pair]
     return sorted((bench.carry_on(t, steps, last=False) for t in near), key=lambda t: t.cost)
@@ -110,6 +110,23 @@ def rounded(bench: Bench, slider: Tried, steps: int) -> Tried | None:
     start[:4] = p[0], p[1] / max(p[0], 1e-300), 1.0, 0.5
     lead = Lead(slider.spot, "hysteresis", start, slider.lead.gain)
     return bench.law_alone(slider.made.x[: slider.made.n_base], lead, steps)
+
+
+SPREAD = 0.8
+"""Spread of limits from which one is sought."""
+
+
+def spread(bench: Bench, slider: Tried, steps: int) -> Tried | None:
+    """Sliders side by side in place of one, the base as it stands."""
+    return bench.law_alone(slider.made.x[: slider.made.n_base], spread_lead(slider), steps)
+
+
+def spread_lead(slider: Tried) -> Lead:
+    """Sliders whose limits are spread about that of one, or of hysteresis."""
+    p, _ = slider.made.law(0)
+    start = np.zeros(N_P)
+    start[:3] = p[0], p[1] if slider.name == "stick-slip" else p[0] * p[1], SPREAD
+    return Lead(slider.spot, "sliders", start, slider.lead.gain)
 
 
 def quiet_data(run: Run, scatter: Scatter) -> Data:

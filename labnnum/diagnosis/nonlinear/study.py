@@ -16,7 +16,7 @@ from labnnum.diagnosis.nonlinear.leads import general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.problem import KINKED
 from labnnum.diagnosis.nonlinear.run import Run
-from labnnum.diagnosis.nonlinear.stuck import rounded
+from labnnum.diagnosis.nonlinear.stuck import rounded, spread
 from labnnum.diagnosis.scatter import Scatter
 
 ENOUGH = 1.15
@@ -122,15 +122,24 @@ def finely(bench: Bench, t: Tried, one: Tried) -> Tried:
 
 
 def with_rounded(bench: Bench, tried: list[Tried]) -> list[Tried]:
-    """The simulated laws, best first, with hysteresis where a slider is the best and leaves too much."""
+    """The simulated laws, best first, with many sliders and hysteresis where one of their kind is the best and leaves
+    too much.
+    """
     best = tried[0] if tried else None
-    if best is None or best.mechanism != "stick-slip" or not _coarse(best):
+    if best is None or best.mechanism not in SLIDING or not _coarse(best):
         return tried
-    if any(o.mechanism == "hysteresis" and o.spot.place == best.spot.place and o.simulated for o in tried):
-        return tried
-    smooth = rounded(bench, best, LONG)
-    more = [] if smooth is None else [bench.carry_on(smooth, LONG, last=True)]
+    have = {o.mechanism for o in tried if o.spot.place == best.spot.place and o.simulated}
+    made: list[Tried | None] = []
+    if best.mechanism == "stick-slip" and "hysteresis" not in have:
+        made.append(rounded(bench, best, LONG))
+    if "sliders" not in have:
+        made.append(spread(bench, best, LONG))
+    more = [bench.carry_on(t, LONG, last=True) for t in made if t is not None]
     return sorted([*tried, *more], key=lambda t: t.cost)
+
+
+SLIDING = ("stick-slip", "hysteresis", "sliders")
+"""Laws that yield, at once or bit by bit."""
 
 
 def _coarse(t: Tried) -> bool:
