@@ -122,15 +122,35 @@ def bent_channel(observations: Sequence[Observation]) -> list[str]:
 
 def beyond(clips: Sequence[str], observations: Sequence[Observation]) -> list[str]:
     """Clipped channels, run by run, less those that have no rail: they read higher in another run than where they are
-    said to clip, or end at different readings in the runs in which they do.
+    said to clip, end at different readings in the runs in which they do, or are held back no more than the others.
     """
     out = list(clips)
     for name in {n for n in clips if n}:
         ends = [o.peaks.get(name, np.nan) for n, o in zip(clips, observations, strict=True) if n == name]
         top = max(o.peaks.get(name, 0.0) for o in observations)
-        if min(ends) < top / RAIL or max(ends) > ONE_RAIL * min(ends):
+        if min(ends) < top / RAIL or max(ends) > ONE_RAIL * min(ends) or _as_free(name, clips, observations):
             out = ["" if n == name else n for n in out]
     return out
+
+
+HELD_BACK = 0.98
+"""Growth of a clipped channel's peaks from a quieter run, of the others' in the middle, that it stays below."""
+
+
+def _as_free(name: str, clips: Sequence[str], observations: Sequence[Observation]) -> bool:
+    """Whether a channel's peaks grow from a quieter run to those in which it is said to clip as the others' do.
+
+    Peaks of hits follow their force; those of noise follow chance, and say nothing.
+    """
+    loud = [o for c, o in zip(clips, observations, strict=True) if c == name and o.kind == "hammer"]
+    quiet = [o for c, o in zip(clips, observations, strict=True) if c != name and o.kind == "hammer"]
+    for high in loud:
+        for low in (o for o in quiet if o.level < high.level):
+            growth = {c: high.peaks[c] / low.peaks[c] for c in high.peaks if low.peaks.get(c)}
+            others = [g for c, g in growth.items() if c != name]
+            if name in growth and len(others) >= 2 and growth[name] > HELD_BACK * float(np.median(others)):
+                return True
+    return False
 
 
 def change_of_rows(low: Frf, high: Frf) -> NDArray[np.float64] | None:

@@ -12,10 +12,11 @@ from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
 from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide, unsimulated
 from labnnum.diagnosis.nonlinear.detect import signs
-from labnnum.diagnosis.nonlinear.explore import Prospect, explore
+from labnnum.diagnosis.nonlinear.explore import NOISY, Prospect, explore
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
+from labnnum.diagnosis.nonlinear.pairs import BETTER, paired, study_of
 from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
@@ -113,7 +114,19 @@ def answer(
         if not tried:
             return None
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
-        return found, laws_of(found, every, train, test, scatter, limits, progress, identified)
+        two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None
+        return two or (found, laws_of(found, every, train, test, scatter, limits, progress, identified))
+
+    def both(seen: Prospect, one: Tried | None = None) -> tuple[Study, list[Tried]] | None:
+        """Two laws that were sought together, where they explain what the best `one` does not."""
+        pairs = paired(seen, every, progress)
+        if not pairs:
+            return None
+        progress("comparing pairs of nonlinear laws")
+        found, laws = study_of(seen, pairs, scatter, limits.further)
+        level = laws[-1].made.data_part / laws[-1].made.count
+        before = np.inf if one is None else one.made.data_part / one.made.count
+        return (found, laws) if level < min(NOISY, BETTER * before) else None
 
     done: tuple[Study, list[Tried]] | None = None
     lying: tuple[int, Prospect] | None = None
@@ -124,6 +137,9 @@ def answer(
         far = seen is not None and seen.hopeless and not identified
         if seen is not None and not far:
             done = pursued(seen)
+        elif seen is not None and not identified:
+            done = both(seen)
+            far = done is None
         last = None if done is None else done[1][-1].made
         if not (whole or nearly) and (last is None or last.data_part > POOR * last.count):
             lying = suspect(train, seen, exploring)
@@ -153,6 +169,11 @@ def answer(
         made, lying=lying[0], linearised=tuple(every_channel[: len(train)]),
         linearised_held_out=tuple(every_channel[len(train) :]),
     )  # fmt: skip
+
+
+def _poor(last: Tried) -> bool:
+    """Whether a law leaves so much that something else acts beside them."""
+    return last.made.data_part > POOR * last.made.count
 
 
 def _within(o: Observation, span: tuple[float, float]) -> Observation:

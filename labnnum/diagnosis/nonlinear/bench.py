@@ -19,19 +19,22 @@ from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError
+from labnnum.mechanisms.base import Place
 
 
 @dataclass(frozen=True, eq=False)
 class Tried:
     """A law at a spot, fitted; `cost` its objective plus the price of its parameters.
 
-    `simulated`: whether the fit was by simulation, and not along the recovered motion only.
+    `simulated`: whether the fit was by simulation, and not along the recovered motion only. `more`: laws that were
+    sought together with it, and are fitted with it.
     """
 
     lead: Lead
     made: Made
     cost: float
     simulated: bool = True
+    more: tuple[Lead, ...] = ()
 
     @property
     def spot(self) -> Spot:
@@ -53,8 +56,16 @@ class Tried:
         """The mechanism of the catalogue that it is."""
         return NAMES.get(self.mechanism, self.mechanism)
 
+    @property
+    def all_of_it(self) -> frozenset[tuple[str, Place]]:
+        """Names and places of all its laws."""
+        leads = (self.lead, *self.more)
+        return frozenset((NAMES.get(lead.mechanism, lead.mechanism), lead.spot.place) for lead in leads)
+
     def same(self, other: Tried) -> bool:
         """Whether both are one answer."""
+        if self.more or other.more:
+            return self.all_of_it == other.all_of_it
         same_terms = self.named or np.array_equal(self.lead.p != 0, other.lead.p != 0)
         return self.name == other.name and self.spot.place == other.spot.place and same_terms
 
@@ -98,8 +109,13 @@ class Bench:
 
     def follow(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
         """A law fitted along the recovered motion, from the base vector `x`."""
-        joint = Followed(self.engine, self.point, self.runs, lead.acting(), self.scatter, self.lines)
+        joint = Followed(self.engine, self.point, self.runs, [lead.acting()], self.scatter, self.lines)
         return tried_fit(joint, joint.start(x), [None] * len(self.runs), lead, steps, simulated=False)
+
+    def both(self, x: NDArray, leads: Sequence[Lead], steps: int) -> Tried | None:
+        """Several laws that act together fitted by simulation, from the base vector `x`."""
+        joint = self.joint(leads)
+        return tried_fit(joint, joint.start(x), [None] * len(self.runs), leads[0], steps, more=leads[1:])
 
     def follow_on(self, one: Tried, steps: int) -> Tried:
         """The same carried on."""
@@ -109,10 +125,11 @@ class Bench:
         """A law that was followed, fitted by simulation: from its force along the motion, or else from nothing; with
         finer steps where it is the `last` fit.
         """
-        terms = [replace(of_fit(one).acting(), last=last)]
+        terms = [replace(lead.acting(), last=last) for lead in of_fits(one)]
         joint = Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines)
-        made = tried_fit(joint, one.made.x, marched_from(joint, one.made.x, one.made.orbits), one.lead, steps)
-        return made or tried_fit(joint, one.made.x, [None] * len(self.runs), one.lead, steps)
+        begun = marched_from(joint, one.made.x, one.made.orbits)
+        made = tried_fit(joint, one.made.x, begun, one.lead, steps, more=one.more)
+        return made or tried_fit(joint, one.made.x, [None] * len(self.runs), one.lead, steps, more=one.more)
 
     def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int, *, soften: bool = True) -> Tried | None:
         """A law fitted by simulation from what the recovered motion promised, from several base vectors.
@@ -137,19 +154,20 @@ class Bench:
         """A simulated fit carried on, on other lines perhaps; with finer steps where it is the `last`."""
         terms = [replace(t, last=last) for t in one.made.terms]
         joint = Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines)
-        return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always) or one
+        return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always, more=one.more) or one
 
 
 def tried_fit(
     joint: Joint, x: NDArray, orbits: Sequence, lead: Lead, steps: int, *, simulated: bool = True, always: bool = False,
-    exact: bool = True,
+    exact: bool = True, more: Sequence[Lead] = (),
 ) -> Tried | None:  # fmt: skip
     """The fit of `joint` from `x` as a candidate; None where no steady state is found."""
     try:
         made = fit(joint, x, orbits, steps=steps, always=always, exact=exact)
     except (EstimationError, np.linalg.LinAlgError):
         return None
-    return Tried(lead, made, cost(made, lead.mechanism), simulated)
+    price = sum(cost(made, one.mechanism) - made.objective for one in more)
+    return Tried(lead, made, cost(made, lead.mechanism) + price, simulated, tuple(more))
 
 
 def softened(joint: Joint, x: NDArray, lead: Lead) -> NDArray[np.float64]:
@@ -172,6 +190,17 @@ def of_fit(one: Tried) -> Lead:
     full = np.zeros(N_P)
     full[: p.size] = p
     return replace(one.lead, p=full)
+
+
+def of_fits(one: Tried) -> list[Lead]:
+    """Its leads with the parameters where its fit ended."""
+    out = []
+    for i, lead in enumerate((one.lead, *one.more)):
+        p, _ = one.made.law(i)
+        full = np.zeros(N_P)
+        full[: p.size] = p
+        out.append(replace(lead, p=full))
+    return out
 
 
 PRICE = 4.0

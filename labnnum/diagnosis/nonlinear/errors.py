@@ -45,13 +45,12 @@ def settled_on(
 def _begun(joint: Joint, x: NDArray, first: int) -> list[Orbit | None]:
     """Where the march over the runs from `first` on begins: at the law's force along the motion that they show.
 
-    A law that softens or sticks may have other steady states, to which a march from nothing would go. Of several laws
-    at once nothing is known beforehand.
+    A law that softens or sticks may have other steady states, to which a march from nothing would go.
     """
     rest = joint.runs[first:]
-    if joint.k != 1 or not rest:
+    if not joint.k or not rest:
         return [None] * len(rest)
-    shown = Followed(joint.engine, joint.point, rest, joint.terms[0], joint.scatter, joint.lines[first:])
+    shown = Followed(joint.engine, joint.point, rest, joint.terms, joint.scatter, joint.lines[first:])
     orbits = shown.settle(x, [None] * len(rest), 0)
     marched = marched_from(joint, x, [*([None] * first), *orbits])[first:]
     kept = [None if o is None or not np.isfinite(o.time).all() else o for o in marched]

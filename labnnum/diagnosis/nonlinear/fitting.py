@@ -13,6 +13,8 @@ from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
 from labnnum.errors import EstimationError
 
+SHORT, STALLS = 0.03, 2
+"""Damping from which on a step is a short one, and how often such a step may gain little before a fit ends."""
 EXACT = 80
 """Entries of the base model's vector up to which their tangents are marched."""
 
@@ -47,7 +49,7 @@ def fit(
     """Levenberg-Marquardt from `x`; ends when a step gains less than `tolerance` of the objective and `floor`.
 
     `exact` slopes are marched where the base model's vector is short (`EXACT`), or `always`: standard deviations need
-    them.
+    them. Such a fit does not end either where a step gains little because it was a short one.
     """
     joint.exact = always or (exact and joint.n_base <= EXACT)
     scale, low, high = joint.scale, joint.low, joint.high
@@ -57,7 +59,7 @@ def fit(
     prior = (scale / joint.std) ** 2
     best: tuple[float, NDArray, Any, NDArray, NDArray] | None = None
     reach = np.concatenate([_reach(joint), np.full(x.size - joint.n_base, 0.7)])
-    small = 0
+    stalled = 0
     for _ in range(steps):
         try:
             jac, orbits = joint.slopes(x, orbits)
@@ -89,11 +91,15 @@ def fit(
             converged = True
             break
         gain = value - after
-        x, orbits, damping = trial, found, max(damping / 5.0, 1e-8)
-        small = small + 1 if gain < max(tolerance * value, floor) else 0
-        if small >= 1:
-            converged = True
-            break
+        x, orbits = trial, found
+        if gain < max(tolerance * value, floor):
+            stalled += 1
+            if not always or damping < SHORT or stalled > STALLS:
+                converged = True
+                break
+            damping = 1e-3  # a short step gains little wherever it is made
+        else:
+            damping = max(damping / 5.0, 1e-8)
     if best is None:
         raise EstimationError("the steady response does not settle at the start of the fit")
     r, b = joint.parts(x, orbits)

@@ -20,7 +20,7 @@ from scipy.fft import rfft
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.laws import force_along
 from labnnum.diagnosis.nonlinear.lines import Lines
-from labnnum.diagnosis.nonlinear.locate import motion_of, window_of
+from labnnum.diagnosis.nonlinear.locate import motion_of, motions_of, window_of
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
@@ -35,7 +35,7 @@ NUDGE = 1e-4
 
 
 class Followed(Joint):
-    """The objective of `Joint` with one law, its force taken along the recovered motion instead of a simulated one.
+    """The objective of `Joint`, the laws' forces taken along the recovered motions instead of simulated ones.
 
     Spectra of open runs are compared through their window. Orbits hold the force as it is compared in `force`, that
     without a window in `time`, and the recovered motion, speed and force in `motion`, on
@@ -43,18 +43,20 @@ class Followed(Joint):
     """
 
     def __init__(
-        self, engine: Engine, point: Point, runs: Sequence[Run], term: Acting, scatter: Scatter, lines: Sequence[Lines]
+        self, engine: Engine, point: Point, runs: Sequence[Run], terms: Sequence[Acting], scatter: Scatter,
+        lines: Sequence[Lines],
     ) -> None:  # fmt: skip
         seen = [replace(r, u=r.seen(r.u), y=r.seen(r.y), open=False) if r.open else r for r in runs]
-        super().__init__(engine, point, seen, (term,), scatter, [Lines(a.at, a.sigma) for a in lines])
+        super().__init__(engine, point, seen, terms, scatter, [Lines(a.at, a.sigma) for a in lines])
         self.measured = tuple(runs)
-        self.slow = 0.0
+        self.slow = np.zeros(len(terms))
+        columns = np.array([t.column for t in terms]).T
         self.all_lines: dict[Any, Base] = {}
         self.whole: dict[Any, Receptance] = {}
         for key in {r.key for r in runs}:
             period, rate, decay = key
             omega = 2 * np.pi * np.arange(period // 2 + 1) * rate / period
-            self.all_lines[key] = Base(engine, point, term.column[:, None], omega, decay)
+            self.all_lines[key] = Base(engine, point, columns, omega, decay)
 
     def receptances(self, x: NDArray) -> dict[Any, Receptance]:
         """One for each period length, on the lines compared; `whole` has them on all lines."""
@@ -65,25 +67,31 @@ class Followed(Joint):
         return self._last[1]
 
     def settle(self, x: NDArray, orbits: Sequence[Orbit | None], steps: int) -> list[Orbit | None]:
-        """The recovered motion at `x` and the law's force along it."""
-        p = self.laws(x)[0]
+        """The recovered motions at `x` and the laws' forces along them."""
+        p = self.laws(x)
         self.receptances(x)
-        seen = [motion_of(run, self.whole[run.key])[:3] for run in self.measured]
-        self.slow = SLOW * max(float(np.sqrt(np.mean(v**2))) for _, v, _ in seen)
+        seen = [self._motions(run) for run in self.measured]
+        self.slow = SLOW * np.max([np.sqrt(np.mean(m[:, :, 1] ** 2, axis=0)) for m in seen], axis=0)
         return [self._orbit(run, m, p) for run, m in zip(self.measured, seen, strict=True)]
 
-    def _orbit(self, run: Run, seen: tuple[NDArray, NDArray, NDArray], p: NDArray) -> Orbit:
-        force = self._force(run, *seen, p)
-        none = np.zeros((2, 0)), np.zeros(1), np.zeros((1, 2))
-        return Orbit(
-            *none, self._spectrum(run, force)[None], force[:, None], np.stack(seen, axis=-1)[:, None], closing=0.0
-        )
+    def _motions(self, run: Run) -> NDArray[np.float64]:
+        """Motion, speed and force (n, k, 3) at the laws' places."""
+        r = self.whole[run.key]
+        if self.k == 1:
+            return np.stack(motion_of(run, r)[:3], axis=-1)[:, None]
+        return motions_of(run, r)
 
-    def _force(self, run: Run, z: NDArray, v: NDArray, f: NDArray, p: NDArray) -> NDArray[np.float64]:
-        """The law's force on the structure; what holds a dry contact at rest is any force up to its limit."""
-        if self.terms[0].shape.law == "coulomb":
-            return np.where(np.abs(v) > self.slow, -p[0] * np.sign(v), np.clip(f, -p[0], p[0]))
-        return -force_along(self.terms[0].shape, z, v, p, around=run.lasting)
+    def _orbit(self, run: Run, seen: NDArray, p: NDArray) -> Orbit:
+        force = np.stack([self._force(run, i, *seen[:, i].T, p[i]) for i in range(self.k)], axis=1)
+        none = np.zeros((2, 0)), np.zeros(self.k), np.zeros((self.k, 2))
+        spectra = np.array([self._spectrum(run, f) for f in force.T])
+        return Orbit(*none, spectra, force, seen, closing=0.0)
+
+    def _force(self, run: Run, i: int, z: NDArray, v: NDArray, f: NDArray, p: NDArray) -> NDArray[np.float64]:
+        """Law i's force on the structure; what holds a dry contact at rest is any force up to its limit."""
+        if self.terms[i].shape.law == "coulomb":
+            return np.where(np.abs(v) > self.slow[i], -p[0] * np.sign(v), np.clip(f, -p[0], p[0]))
+        return -force_along(self.terms[i].shape, z, v, p, around=run.lasting)
 
     @staticmethod
     def _spectrum(run: Run, force: NDArray) -> NDArray[np.complex128]:
@@ -92,32 +100,37 @@ class Followed(Joint):
         return np.asarray(whole, np.complex128) * (2 * size / force.size)
 
     def slopes(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, list[Orbit | None]]:
-        """Derivatives of the whitened responses, (n_out, n_x, N), the motion held."""
+        """Derivatives of the whitened responses, (n_out, n_x, N), the motions held."""
         made = self.receptances(x)
         derived = {key: b.at_sensors(x[: self.n_base], made[key]) for key, b in self.bases.items()}
-        p = self.laws(x)[0]
-        n = self.terms[0].n
+        p = self.laws(x)
         out = []
         for shown, run, lines, orbit in zip(self.runs, self.measured, self.lines, orbits, strict=True):
             assert orbit is not None
             r, (dp, dh) = made[run.key], derived[run.key]
             here = r.index(lines.at)
             change = dp[:, :, here] * (r.gain * shown.u)[lines.at]
-            change = change + dh[:, :, 0][..., here] * orbit.force[0, lines.at]
-            z, v, f = orbit.motion[:, 0].T
-            through = []
-            for i in range(n):
-                if not self.used[i]:
-                    through.append(np.zeros_like(change[0]))
-                    continue
-                step = np.zeros(N_P)
-                scale = self.scale[self.n_base + i]
-                step[i] = NUDGE * max(abs(p[i]), 1e-3 * scale)
-                moved = self._spectrum(run, self._force(run, z, v, f, p + step) - orbit.time[:, 0])[lines.at]
-                through.append(r.h[:, 0, here] * moved * (scale / step[i]))
+            for c in range(self.k):
+                change = change + dh[:, :, c][..., here] * orbit.force[c, lines.at]
+            through, at = [], 0
+            for c, term in enumerate(self.terms):
+                for i in range(term.n):
+                    through.append(
+                        self._slope(run, orbit, c, i, p[c], at)[lines.at] * r.h[:, c, here]
+                        if self.used[at] else np.zeros_like(change[0])
+                    )  # fmt: skip
+                    at += 1
             change = np.concatenate([change, np.array(through)])
             out.append(self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)))
         return np.concatenate(out, axis=-1), list(orbits)
+
+    def _slope(self, run: Run, orbit: Orbit, c: int, i: int, p: NDArray, at: int) -> NDArray[np.complex128]:
+        """Derivative of the force spectrum of law c to its parameter i, `at` among all laws', in its scale."""
+        step = np.zeros(N_P)
+        scale = self.scale[self.n_base + at]
+        step[i] = NUDGE * max(abs(p[i]), 1e-3 * scale)
+        moved = self._force(run, c, *orbit.motion[:, c].T, p + step) - orbit.time[:, c]
+        return self._spectrum(run, moved) * (scale / step[i])
 
 
 def _on(r: Receptance, lines: NDArray) -> Receptance:

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, cost
 from labnnum.diagnosis.nonlinear.explore import LAWS
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import general_lead, law_leads, ranked
-from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
@@ -149,7 +149,18 @@ def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, 
     if made is None:
         return list(laws)
     out.append(Tried(laws[kept[order[-1]]].lead, made, cost(made, laws[kept[order[-1]]].mechanism)))
+    out[-1] = finished(study, out[-1], scatter, chosen)
     return out
+
+
+def finished(study: Study, last: Tried, scatter: Scatter, lines: Sequence[Lines]) -> Tried:
+    """The last fit of a chain followed to its end, with finer steps and the slopes that standard deviations need."""
+    bench = Bench(study.engine, study.point, study.runs, scatter, tuple(lines))
+    return bench.carry_on(last, FINISH, always=True, last=True)
+
+
+FINISH = 12
+"""Steps of the last fit of several laws: one that ends early leaves their parameters where they began."""
 
 
 def _vector(made: Made, terms: Sequence[int]) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from scipy.fft import irfft, rfft
 from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.nonlinear.kernels import weighed
+from labnnum.diagnosis.nonlinear.kernels import AROUND, weighed
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
@@ -209,6 +209,61 @@ def motion_of(
     full[:, : z.size] = z / size, r.s * z / size, force / size
     time = np.asarray(irfft(full, axis=1), float) * (_unseen(run, n) * (size * n / 2))
     return time[0], time[1], time[2], (force, kept, all_)
+
+
+RIDGE = 1e-3
+"""Part of a force's own weight that is added where forces at several places are told apart for the first time."""
+
+
+def motions_of(run: Run, r: Receptance) -> NDArray[np.float64]:
+    """Motions, speeds and forces (n, k, 3) at all places of a receptance, which act together, as the run shows them.
+
+    The forces are those that together explain best what the base leaves, each with its own power around the line as
+    its prior: what two places explain alike they share.
+    """
+    drive = r.gain * run.u
+    left, weight, _ = weighted(run, run.y - r.lift * (r.plain * drive))
+    top, power = moments(r.lift[:, None] * r.h, weight, left)
+    own = np.einsum("ncc->nc", power).real
+    eye = np.eye(r.g.shape[0])
+    least = np.maximum(own, 1e-12 * np.max(own, axis=0)) + 1e-300
+    raw = np.linalg.solve(power + RIDGE * least[:, :, None] * eye, top[..., None])[..., 0]
+    inside = run.inside.astype(float)
+    felt = np.maximum(uniform_filter1d(own, 41, axis=0), 1e-300)
+    spread = uniform_filter1d(np.abs(raw) ** 2 * own, 41, axis=0) / felt
+    count = uniform_filter1d(inside, 41)[:, None]
+    prior = np.maximum(spread - count / felt, 1e-3 * spread) + 1e-300
+    force = np.linalg.solve(power + eye / prior[:, :, None], top[..., None])[..., 0].T * run.inside
+    moved = run.seen(r.z * drive)
+    z = np.where(run.inside, moved + (r.g * force).sum(axis=1), 0.0)
+    n = run.period * FINE
+    full = np.zeros((3, r.g.shape[0], n // 2 + 1), precise(run))
+    size = np.max(np.abs(force)) or 1.0
+    full[..., : z.shape[1]] = np.stack([z, r.s * z, force]) / size
+    time = np.asarray(irfft(full, axis=2), float) * (_unseen(run, n) * (size * n / 2))
+    return np.ascontiguousarray(np.moveaxis(time, (0, 2), (2, 0)))
+
+
+def weighted(run: Run, left: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Residuals (n_out, n_lines) as the run is seen, their weights, zero outside the band, and its quiet lines."""
+    variance, quiet = _expected(run)
+    left = run.seen(left)
+    return left, _weight(left, variance, quiet) * run.inside, quiet
+
+
+def moments(seen: NDArray, weight: NDArray, left: NDArray) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """h^H W r (n_lines, k) and h^H W h (n_lines, k, k) of responses `seen` (n_out, k, n_lines) to forces."""
+    top = np.einsum("okn,on,on->nk", np.conj(seen), weight, left)
+    rows = np.moveaxis(seen * np.sqrt(weight)[:, None], 2, 0)
+    return top, np.conj(np.swapaxes(rows, 1, 2)) @ rows
+
+
+def _weight(left: NDArray, variance: NDArray, quiet: NDArray) -> NDArray[np.float64]:
+    """Weights (n_out, n_lines) of residuals: what is known of their variance, and a part of the power around them."""
+    size = np.where(quiet, np.abs(left) ** 2, 0.0)
+    beside = np.maximum(uniform_filter1d(quiet.astype(float), AROUND, mode="reflect"), 1e-9)
+    around = np.maximum(uniform_filter1d(size, AROUND, axis=1, mode="reflect"), 0.0) / beside
+    return 1.0 / np.maximum(variance + 0.03**2 * around, 1e-300)
 
 
 ENDS = 0.1

@@ -105,11 +105,15 @@ def rounded(bench: Bench, slider: Tried, steps: int) -> Tried | None:
     """Hysteresis in place of a slider, the base as it stands: one that lets go bit by bit, because it is distributed
     or has rounded corners, softens long before its limit.
     """
-    p, _ = slider.made.law(0)
+    lead = smooth_of(slider.lead, slider.made.law(0)[0])
+    return bench.law_alone(slider.made.x[: slider.made.n_base], lead, steps)
+
+
+def smooth_of(slider: Lead, p: NDArray) -> Lead:
+    """Hysteresis in place of a slider whose parameters are `p`."""
     start = np.zeros(N_P)
     start[:4] = p[0], p[1] / max(p[0], 1e-300), 1.0, 0.5
-    lead = Lead(slider.spot, "hysteresis", start, slider.lead.gain)
-    return bench.law_alone(slider.made.x[: slider.made.n_base], lead, steps)
+    return Lead(slider.spot, "hysteresis", start, slider.gain)
 
 
 SPREAD = 0.8
@@ -123,10 +127,14 @@ def spread(bench: Bench, slider: Tried, steps: int) -> Tried | None:
 
 def spread_lead(slider: Tried) -> Lead:
     """Sliders whose limits are spread about that of one, or of hysteresis."""
-    p, _ = slider.made.law(0)
+    return spread_of(slider.lead, slider.made.law(0)[0])
+
+
+def spread_of(slider: Lead, p: NDArray) -> Lead:
+    """The same for a law whose parameters are `p`."""
     start = np.zeros(N_P)
-    start[:3] = p[0], p[1] if slider.name == "stick-slip" else p[0] * p[1], SPREAD
-    return Lead(slider.spot, "sliders", start, slider.lead.gain)
+    start[:3] = p[0], p[0] * p[1] if slider.mechanism == "hysteresis" else p[1], SPREAD
+    return Lead(slider.spot, "sliders", start, slider.gain)
 
 
 def quiet_data(run: Run, scatter: Scatter) -> Data:
