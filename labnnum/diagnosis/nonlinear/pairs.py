@@ -52,8 +52,12 @@ TRIED = 6
 """and at all pairs, that are simulated in one round."""
 ROUNDS = 4
 """Rounds, each from the base that the best pair so far left."""
-BRIEF = 5
-"""Steps of a fit that shows whether a pair is worth more."""
+GLANCE, BRIEF = 2, 4
+"""Steps of a fit that shows whether a pair is worth more, and how many more it then gets."""
+WORTH = 3
+"""Pairs of a round that get them."""
+HOPEFUL = 1.5
+"""Cost of the best pair of a round, of the best single law's, above which no more are looked for."""
 ONWARD = 0.8
 """Part of what the best pair left to which a round must bring it for another."""
 SCANNED = 300
@@ -93,12 +97,12 @@ def paired(
         promised.sort(key=lambda row: row[0])
         fresh = _distinct(promised, [t.all_of_it for t in done])
         before = done[0].cost if done else np.inf
-        made = [bench.both(x, two, BRIEF) for _, x, two in fresh]
-        done = sorted([*done, *(t for t in made if t is not None)], key=lambda t: t.cost)
-        if not done:
+        made = [t for _, x, two in fresh if (t := bench.both(x, two, GLANCE)) is not None]
+        made.sort(key=lambda t: t.cost)
+        made[:WORTH] = [bench.carry_on(t, BRIEF, last=False) for t in made[:WORTH]]
+        done = sorted([*done, *made], key=lambda t: t.cost)
+        if not done or done[0].cost > HOPEFUL * seen.near[0].cost:
             return []
-        if done[0].cost > BETTER * seen.near[0].cost and len(done) > TRIED:
-            break
         done[0] = bench.carry_on(done[0], LONG, last=False)
         if done[0].cost > ONWARD * before or done[0].made.data_part < ENOUGH * done[0].made.count:
             break

@@ -41,6 +41,8 @@ BEST = 2
 """Limits that are carried on, by what they leave."""
 NEAR = 3.0
 """Cost, of the least that a law alone leaves, the base held, below which a place is carried on."""
+ALONG = 4
+"""Sliders, the best by what they leave with the base held, whose base is fitted too."""
 MOST = 400
 """Lines of the quietest run that are fitted."""
 
@@ -80,6 +82,7 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
             begun.append([t for t in (best, *softer) if t is not None])
     least = min((t.cost for pair in begun for t in pair), default=0.0)
     near = [t for pair in begun if min(t.cost for t in pair) < NEAR * least for t in pair]
+    near = sorted(near, key=lambda t: t.cost)[:ALONG]
     return sorted((bench.carry_on(t, steps, last=False) for t in near), key=lambda t: t.cost)
 
 
