@@ -20,7 +20,7 @@ from labnnum.diagnosis.nonlinear.pairs import BETTER, paired, study_of
 from labnnum.diagnosis.nonlinear.records import changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import base_again, of_known, refined, search
+from labnnum.diagnosis.nonlinear.study import base_again, corners, of_known, refined, search
 from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import Observation
@@ -113,6 +113,7 @@ def answer(
         tried = refined(found, scatter, rivals(found, every, scatter))
         if not tried:
             return None
+        tried = [*corners(found, tried, scatter, POOR), *tried[1:]]
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
         two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None
         return two or (found, laws_of(found, every, train, test, scatter, limits, progress, identified))

@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.leads import general_lead, law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.orbit import Orbit
-from labnnum.diagnosis.nonlinear.problem import Acting, Joint
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError
 
@@ -108,17 +108,21 @@ def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, 
     left holds all of its laws, the one that is missed most first.
     """
     chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
+    steps = steps_of(
+        [replace(t, last=True) for t in laws[-1].made.terms]
+    )  # with or without one that asks for fine ones
 
-    def fitted(some: Sequence[Tried], start: Tried, terms: Sequence[int]) -> Made | None:
-        joint = Joint(study.engine, study.point, study.runs, [start.made.terms[i] for i in terms], scatter, chosen)
+    def fitted(start: Tried, terms: Sequence[int]) -> Made | None:
+        some = [replace(start.made.terms[i], last=True, steps=steps) for i in terms]
+        joint = Joint(study.engine, study.point, study.runs, some, scatter, chosen)
         try:
             return fit(joint, _vector(start.made, terms), _orbits(start.made, terms), steps=10)
         except (EstimationError, np.linalg.LinAlgError):
             return None
 
-    kept = list(range(len(laws)))
+    kept = [i for i in range(len(laws)) if laws[-1].made.law(i)[0][0] != 0.0]
     last = laws[-1]
-    whole = fitted(laws, last, kept)
+    whole = fitted(last, kept) if kept else None
     if whole is None:
         return list(laws)
     last = replace(last, made=whole)
@@ -126,7 +130,7 @@ def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, 
     while len(kept) > 1:
         without: dict[int, Made] = {}
         for i in kept:
-            made = fitted(laws, last, [j for j in range(len(last.made.terms)) if kept[j] != i])
+            made = fitted(last, [j for j in range(len(last.made.terms)) if kept[j] != i])
             if made is not None:
                 without[i] = made
         excess = max(1.0, last.made.data_part / last.made.count)
@@ -141,11 +145,11 @@ def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, 
     order = sorted(range(len(kept)), key=lambda j: -missed.get(kept[j], 0.0))
     out = []
     for n in range(1, len(order)):
-        made = fitted(laws, last, order[:n])
+        made = fitted(last, order[:n])
         if made is None:
             return list(laws)
         out.append(Tried(laws[kept[order[n - 1]]].lead, made, cost(made, laws[kept[order[n - 1]]].mechanism)))
-    made = fitted(laws, last, order)
+    made = fitted(last, order)
     if made is None:
         return list(laws)
     out.append(Tried(laws[kept[order[-1]]].lead, made, cost(made, laws[kept[order[-1]]].mechanism)))

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.bench import Study, Tried, of_fits
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fits
 from labnnum.diagnosis.nonlinear.explore import LAWS, LONG, Prospect, engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.further import MEMORY, needed
@@ -69,6 +69,10 @@ ENOUGH = 1.3
 CLOSE, SIMULATED = 3.0, 3
 """Cost, of the least, below which a pair is told from the best on more lines, and how many are."""
 
+BENT, INSTEAD = 4.0, 3
+"""Price of the base beside the best pair, of its entries, above which it stands in for what the pair has wrong,
+and pairs that are then followed as far."""
+
 Combined = tuple[float, NDArray[np.float64], tuple[Lead, Lead]]
 """What two laws leave of the objective, the base vector that this was seen with, and the laws."""
 
@@ -112,9 +116,43 @@ def paired(
         near = [t for t in done[1:] if t.cost < CLOSE * done[0].cost][:SIMULATED]
         done[1 : 1 + len(near)] = [bench.carry_on(t, LONG, last=False) for t in near]
         done.sort(key=lambda t: t.cost)
+        done += _elsewhere(plain, done[0], spots, bench)
+        done.sort(key=lambda t: t.cost)
         done += _softer(seen, done[0])
     done.sort(key=lambda t: t.cost)
     return done if done[0].cost < BETTER * seen.near[0].cost else []
+
+
+def _elsewhere(plain: Joint, best: Tried, spots: Sequence[Spot], bench: Bench) -> list[Tried]:
+    """The best pair with one of its laws at a place from which two forces explain nearly as much, or more."""
+    x = best.made.x[: best.made.bare]
+    shares = pair_shares(plain, x, spots)
+    shares = np.maximum(shares, shares.T)
+    leads = of_fits(best)
+    at = [_number(spots, lead.spot) for lead in leads]
+    out = []
+    for i in range(2):
+        others = sorted((j for j in range(len(spots)) if j not in at), key=lambda j: -shares[at[1 - i], j])
+        for j in others[:AROUND]:
+            two = list(leads)
+            two[i] = replace(leads[i], spot=replace(spots[j], axis=_sense(leads[i].spot) + spots[j].axis))
+            out.append(bench.both(x, two, GLANCE + BRIEF))
+    near = sorted((t for t in out if t is not None), key=lambda t: t.cost)
+    return [bench.carry_on(t, LONG, last=False) if t.cost < CLOSE * best.cost else t for t in near]
+
+
+AROUND = 2
+"""Places that are tried instead of each of the best pair's."""
+
+
+def _number(spots: Sequence[Spot], spot: Spot) -> int:
+    """Where a spot, in either sense, stands among all."""
+    return next(i for i, s in enumerate(spots) if s.place == spot.place and s.axis == spot.axis.lstrip("-"))
+
+
+def _sense(spot: Spot) -> str:
+    """The sign of a law that differs for the two senses of a motion."""
+    return "-" if spot.axis.startswith("-") else ""
 
 
 def _softer(seen: Prospect, best: Tried) -> list[Tried]:
@@ -157,6 +195,10 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
     coarse = sorted((bench.carry_on(t, LONG, last=False) for t in near), key=lambda t: t.cost)
     finer = [bench.carry_on(t, LONG, last=True) for t in coarse if t.cost < CLOSE * coarse[0].cost]
     finer.sort(key=lambda t: t.cost)
+    if finer[0].made.prior_part > BENT * finer[0].made.n_base:
+        others = [t for t in pairs if not any(t.same(o) for o in finer)][:INSTEAD]
+        finer += [bench.carry_on(bench.carry_on(t, LONG, last=True), LONG, last=True) for t in others]
+        finer.sort(key=lambda t: t.cost)
     best = bench.carry_on(finer[0], 4, always=True, last=True)
     tried = (best, *finer[1:])
     plain = bench.joint([])
@@ -188,7 +230,7 @@ def _places(
         out.append((some[0], some[1]))
     for one in some:
         out.append((one, one))
-        i = next(i for i in range(n) if spots[i].place == one.place and spots[i].axis == one.axis.lstrip("-"))
+        i = _number(spots, one)
         beside = sorted((j for j in range(n) if j != i), key=lambda j: -max(shares[i, j], shares[j, i]))
         out += [(one, spots[j]) for j in beside[:BESIDE]]
     distinct: list[tuple[Spot, Spot]] = []

@@ -40,6 +40,8 @@ class Acting:
     start: NDArray[np.float64]
     last: bool = False
     """Whether this is the last fit, with finer steps."""
+    steps: float = 0.0
+    """Steps to a period of the highest excited line that the march takes at least."""
 
     @property
     def shape(self) -> LawShape:
@@ -274,12 +276,18 @@ class Joint:
         return np.concatenate(out, axis=-1), new
 
 
-def _fine(run: Run, terms: Sequence[Acting]) -> int:
-    top = np.flatnonzero(run.excited)[-1]
+def steps_of(terms: Sequence[Acting]) -> float:
+    """Steps of the march to a period of the highest excited line that laws need."""
     jumping = [t for t in terms if t.shape.law == "coulomb"]
     steps = FINE_STEPS if not jumping else JUMPING_LAST if any(t.last for t in jumping) else JUMPING
     if any(t.last and t.shape.law in KINKED for t in terms):
         steps = max(steps, KINKED_LAST)
+    return max([steps, *(t.steps for t in terms)])
+
+
+def _fine(run: Run, terms: Sequence[Acting]) -> int:
+    top = np.flatnonzero(run.excited)[-1]
+    steps = steps_of(terms)
     fine = 1
     while run.period * fine < steps * top and fine < 16:
         fine *= 2

@@ -106,7 +106,19 @@ def simulated(bench: Bench, near: Sequence[Tried], *, suspicious: bool = True) -
         best = min(best, one.cost)
     if not any(t.simulated for t in out):
         return []
-    return sorted(out, key=lambda t: t.cost)
+    return plainer(sorted(out, key=lambda t: t.cost))
+
+
+PLAINER = 1.05
+"""Cost, of that of sliders whose limits are spread, up to which one slider is preferred to them."""
+
+
+def plainer(tried: list[Tried]) -> list[Tried]:
+    """The candidates without sliders whose limits are spread where one slider at that place does as well."""
+    one = {t.spot.place: t.cost for t in reversed(tried) if t.mechanism == "stick-slip" and t.simulated}
+    return [
+        t for t in tried if t.mechanism != "sliders" or one.get(t.spot.place, np.inf) > PLAINER * t.cost
+    ]  # fmt: skip
 
 
 FINELY, AGREES = 2, 0.5
@@ -130,16 +142,27 @@ def with_rounded(bench: Bench, tried: list[Tried]) -> list[Tried]:
         return tried
     have = {o.mechanism for o in tried if o.spot.place == best.spot.place and o.simulated}
     made: list[Tried | None] = []
-    if best.mechanism == "stick-slip" and "hysteresis" not in have:
+    if best.name == "stick-slip" and "hysteresis" not in have:
         made.append(rounded(bench, best, LONG))
     if "sliders" not in have:
         made.append(spread(bench, best, LONG))
     more = [bench.carry_on(t, LONG, last=True) for t in made if t is not None]
-    return sorted([*tried, *more], key=lambda t: t.cost)
+    return plainer(sorted([*tried, *more], key=lambda t: t.cost))
 
 
 SLIDING = ("stick-slip", "hysteresis", "sliders")
 """Laws that yield, at once or bit by bit."""
+
+
+def corners(study: Study, tried: Sequence[Tried], scatter: Scatter, poor: float) -> list[Tried]:
+    """The best law alone; where it has corners and leaves more than `poor` times the noise, with finer steps."""
+    best = tried[0]
+    kinked = SHAPES[best.mechanism].law in KINKED and not best.made.terms[0].last
+    if not kinked or not best.simulated or best.made.data_part < poor * best.made.count:
+        return [best]
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
+    finer = bench.carry_on(best, LONG, last=True)
+    return [finer if finer.cost < best.cost else best]
 
 
 def _coarse(t: Tried) -> bool:
