@@ -201,6 +201,20 @@ class Problem:
                 out[len(every) * i + k, :, i] = factor * r.value[:, i]
         return out
 
+    def _loads(self, r: Response) -> NDArray[np.complex128]:
+        """Columns (m_b, n_out, n_in, n_f) of each mode's load out of phase with its motion, of all its responses alike.
+
+        The shape where the force acts is as complex as it is at the sensors. A mode that is driven near a node of its
+        own shows little else, and in all responses at once.
+        """
+        e, sc = self.engine, self.scatter
+        assert r.modal is not None
+        assert r.modal_out is not None
+        assert r.lift is not None
+        if len(e.inputs) > len(e.outputs):  # there it is the sensors' shapes that all inputs share
+            return 1j * sc.complexity * e.typical[:, None, None, None] * r.modal[:, None] * r.lift
+        return 1j * sc.complexity * e.load_typical[:, None, None, None] * r.modal_out[:, :, None] * r.lift
+
     def _loosened(self, columns: NDArray, channel: int, r: Response) -> NDArray:
         """The columns with those of one channel's rows widened, and its share of every mode outside the band free."""
         assert r.other_modal is not None
@@ -285,8 +299,10 @@ class Problem:
         """Gram matrix of the prior of frequency offsets, (k + 1, k + 1): what directions of irregularity move them by,
         and where they are.
         """
+        if self._common is None:
+            return np.zeros((len(moved) + 1, len(moved) + 1))
         c = np.vstack([-moved, -(x - self.mean)[self._offsets]]) / self.std[self._offsets]
-        return c @ c.T if moved.size else np.zeros((1, 1))
+        return c @ c.T
 
     def _parts(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray, NDArray, NDArray, NDArray | None, NDArray]:
         """Residuals (rows, 2 f), what is marginalised by row and in common (rows, 2 f, n), derivatives to `x`, and by
@@ -297,10 +313,12 @@ class Problem:
         resp = self.engine.response(point, self.terms, self.data.s, jacobian=jacobian, modal=True, common=common)
         r = self._rows(self.data.value - resp.value)
         j = None if resp.jacobian is None else self._rows(resp.jacobian)
-        if resp.common is None or resp.moved is None:
+        if self.scatter.trim:
             return r, self._nuisance(resp, x), np.zeros((*r.shape, 0)), j, np.zeros((0, point.shift.size))
-        shared = np.concatenate([resp.common, self._inputs(resp)])
-        moved = np.vstack([resp.moved, np.zeros((len(shared) - len(resp.moved), point.shift.size))])
+        shared, moved = self._loads(resp), np.zeros((0, point.shift.size))
+        if resp.common is not None and resp.moved is not None:
+            shared, moved = np.concatenate([resp.common, self._inputs(resp), shared]), resp.moved
+        moved = np.vstack([moved, np.zeros((len(shared) - len(moved), point.shift.size))])
         return r, self._nuisance(resp, x), self._rows(shared), j, moved
 
     @staticmethod
@@ -308,7 +326,7 @@ class Problem:
         """Whitened squares of `r` and the price of frequency offsets, what is marginalised taken off at its price."""
         whole = float(np.sum(r * r)) + float(shifted[-1, -1])
         gram = by_rows(np.concatenate([b, c, r[..., None]], axis=2), b.shape[2])
-        left = float(common_out(gram + shifted if c.shape[2] else gram, c.shape[2])[-1, -1])
+        left = float(common_out(gram + shifted, c.shape[2])[-1, -1])
         return left if left >= 1e-9 * whole else whole  # so large that its own ordinary errors would explain anything
 
     def normal(self, x: NDArray) -> Normal:
@@ -333,6 +351,8 @@ class Problem:
     def _with_offsets(self, x: NDArray, moved: NDArray) -> NDArray:
         """The prior of frequency offsets in the normal matrix of [common, x, residual]."""
         k, m = moved.shape
+        if self._common is None:
+            return np.zeros((k + x.size + 1, k + x.size + 1))
         every = np.zeros((m, k + x.size + 1))
         every[:, :k] = -moved.T
         every[:, k + self._offsets.start : k + self._offsets.stop] = np.eye(m)
@@ -342,7 +362,7 @@ class Problem:
 
     def _price_of_offsets(self, x: NDArray, moved: NDArray) -> float:
         """Price of the frequency offsets, given what parts of the structure may move them by; data left aside."""
-        if not moved.size:
+        if self._common is None:
             return 0.0
         return float(common_out(self._shifted(x, moved), len(moved))[-1, -1])
 

@@ -118,7 +118,7 @@ class _Components:
         fitted = [""] * free + ["frequency"] * m + [""] * m + ["residue"] * m + [""] * (x.size - free - 3 * m)
         inputs = ["gain", "phase", "phase"] * len(problem.engine.inputs) if parts else []
         n = c.shape[2]
-        self.shared = np.array([*parts, *inputs, *fitted])
+        self.shared = np.array([*parts, *inputs, *["complexity"] * m, *fitted])
         std = np.concatenate([np.ones(n), problem.std])
         self.flat = ~np.isfinite(std)
         self.std = np.where(self.flat, 1.0, std)
