@@ -1,0 +1,87 @@
+"""Two nonlinear laws at once: forces told apart, laws found together, and limits of sliders that are spread."""
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis import diagnose
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.locate import motion_of, motions_of, spots
+from labnnum.diagnosis.nonlinear.pairs import pair_shares
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
+from labnnum.diagnosis.nonlinear.receptance import Base
+from labnnum.diagnosis.scatter import Scatter
+from labnnum.nonlinear import Element
+from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs, spread_sliders
+
+LEVELS = (2.0, 8.0, 25.0)
+
+
+def ground(i):
+    return np.eye(4)[i - 1]
+
+
+def bench(elements):
+    """Runs, engine and places of a chain with these laws."""
+    structure = chain()
+    made = [o.run for o in runs(elements, structure)]
+    engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
+    every = spots(engine, engine.site(("1", "2", "3", "4"), (("1", "2"), ("2", "3"), ("3", "4")), ()))
+    return made, engine, every
+
+
+TWO = [Element("cubic", joint_23(), (2e4,)), Element("quadratic-damping", ground(1), (10.0,))]
+
+
+def test_what_two_places_explain_alike_they_share():
+    """A place given twice has the motion that it has alone, and each time half the force."""
+    made, engine, _ = bench([TWO[0]])
+    run = max(made, key=lambda r: r.level)
+    omega = 2 * np.pi * run.frequency
+    twice = Base(engine, engine.start(), np.array([joint_23(), joint_23()]).T, omega)
+    seen = motions_of(run, twice.at(twice.start()))
+    np.testing.assert_allclose(seen[:, 0], seen[:, 1], rtol=1e-6, atol=1e-9)
+    once = Base(engine, engine.start(), joint_23()[:, None], omega)
+    z, _, f = motion_of(run, once.at(once.start()))[:3]
+    assert np.linalg.norm(seen[:, 0, 0] - z) < 0.02 * np.linalg.norm(z)
+    assert np.linalg.norm(2 * seen[:, 0, 2] - f) < 0.2 * np.linalg.norm(f)
+
+
+def test_the_places_of_two_forces_explain_most_of_the_distortion():
+    made, engine, every = bench(TWO)
+    loud = [r for r in made if r.level > 0.5 * max(r.level for r in made)]
+    plain = Joint(engine, engine.start(), loud, (), Scatter(), [choose_lines(r, 100) for r in loud])
+    shares = pair_shares(plain, plain.start(), every)
+    names = [str(s.place) for s in every]
+    a, b = names.index("joint 2-3"), names.index("ground 1")
+    own = max(shares[a, b], shares[b, a])
+    assert own > 0.9
+    assert np.count_nonzero(np.triu(np.maximum(shares, shares.T), 1) > own) <= 2
+
+
+def test_two_laws_of_which_either_alone_explains_little_are_named_together():
+    found = diagnose(chain(), runs(TWO, chain()))
+    named = {(n.term.mechanism.id, str(n.place)): n.value for n in found.named}
+    assert set(named) == {("cubic-stiffness", "joint 2-3"), ("quadratic-damping", "ground 1")}, found.summary
+    assert named["cubic-stiffness", "joint 2-3"] == pytest.approx([2e4], rel=0.1)
+    assert named["quadratic-damping", "ground 1"] == pytest.approx([10.0], rel=0.1)
+
+
+def test_sliders_that_let_go_one_after_the_other_are_stick_slip_with_a_spread():
+    found = diagnose(chain(), runs(spread_sliders(400.0, 9.0, 0.8), chain(), LEVELS))
+    assert [(n.term.mechanism.id, str(n.place)) for n in found.named] == [("stick-slip", "joint 2-3")], found.summary
+    told = found.as_dict()["mechanism"]["parameters"]
+    assert told["k_t"]["value"] == pytest.approx(400.0, rel=0.15)
+    assert told["F_s"]["value"] == pytest.approx(9.0, rel=0.15)
+    assert told["spread"]["value"] == pytest.approx(0.8, abs=0.15)
+
+
+def test_one_slider_has_no_spread():
+    found = diagnose(chain(), runs([Element("jenkins", joint_23(), (400.0, 6.0))], chain(), LEVELS))
+    assert list(found.as_dict()["mechanism"]["parameters"]) == ["k_t", "F_s"], found.summary
+
+
+def test_steps_are_those_of_the_law_that_needs_most():
+    contact = Acting("clearance", joint_23(), np.array([1.0, 1.0]), last=True)
+    dry = Acting("coulomb-friction", joint_23(), np.array([1.0]), last=True)
+    assert steps_of([contact]) < steps_of([contact, dry]) == steps_of([dry])
