@@ -152,8 +152,9 @@ def _verdict(
     lead = _lead(engine, data, selection.scatter, stage, best, limits.name * excess) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
-        behind = 0.0 if best.last.data.get("extra_mode") else limits.behind  # residues that are free leave none behind
-        if (best.cost - law.cost) / max(excess, 1.0) > max(limits.alarm, behind * total * excess / max(excess, 1.0)):
+        if (best.cost - law.cost) / max(excess, 1.0) > max(
+            limits.alarm, limits.behind * total * excess / max(excess, 1.0)
+        ):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
     elif law is not None:
         # beside one law that explains all several names must be clearly the simpler, beside another not clearly worse

@@ -215,6 +215,7 @@ def select(
             for c in [*found, *laws]:
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)
+        found = [c for c in found if not (stage and slight(c, task.wide))]
         best = simplest(found, limits) if found else chain[-1]
         excess = max(dispersion(best.fit, data), 1.0)
         gain = (chain[-1].cost - best.cost) / excess
@@ -306,6 +307,16 @@ def still_open(terms: Sequence[Term], held: Sequence[Term]) -> list[Term]:
     """Terms that may still join: what a support has let go cannot be let go again."""
     gone = {t.place for t in held if isinstance(t.whole, Freed)}
     return [t for t in terms if not (isinstance(t.fitted.whole, Freed) and t.place in gone)]
+
+
+SLIGHT = 3.0
+"""Standard deviations of what sound elements differ by, within which a further one that does is no fault."""
+
+
+def slight(c: Candidate, sound: Scatter) -> bool:
+    """Whether the last term is an element that differs by no more than elements of sound structures do."""
+    own = zip(c.last.parameters, c.fit.point.terms[c.fit.point.terms.size - c.last.n :], strict=True)
+    return any(q.name == "relative_change" and abs(p) < SLIGHT * sound.stiffness for q, p in own)
 
 
 def finished(task: Task, terms: Sequence[Term], last: Candidate) -> bool:

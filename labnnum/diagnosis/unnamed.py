@@ -17,21 +17,16 @@ from labnnum.mechanisms.base import Term
 
 
 def unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candidate) -> list[Candidate]:
-    """The best unnamed laws, best first: smooth local ones, loose ones, and pairs where nothing else is enough.
-
-    An added mode is never enough, nor is a channel that may read anything: a mode with a residue of its own at every
-    sensor stands in for whatever resonates, and a loose row for whatever shows mostly there.
-    """
+    """The best unnamed laws, best first: smooth local ones, loose ones, and pairs where nothing else is enough."""
     plain = replace(task, counts={})
     single, pairs = ([t for t in general if t.width == k] for k in (1, 2))
     found = stage_of(plain, single, base, 4)[:2]
-    if named.last.data.get("extra_mode") or not settled(named.fit, task.data, task.limits):
+    if not settled(named.fit, task.data, task.limits):
         found += _imitated(plain, single, base)
     found += _loosened(plain, [t for t in general if t.width == 0], base)
 
     def enough() -> bool:
-        told = [c for c in (*found, named) if c.last.groups or c.last.whole is not None or c.last.n]
-        best = min((c for c in told if not c.last.data.get("extra_mode")), key=lambda c: c.cost, default=base)
+        best = min([*found, named], key=lambda c: c.cost)
         return settled(best.fit, task.data, task.limits) or idle(task, base, best, task.data)
 
     if not enough():
@@ -41,7 +36,7 @@ def unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candida
     return sorted(found, key=lambda c: c.cost)
 
 
-def _imitated(task: Task, laws: Sequence[Term], base: Candidate, each: int = 3, n: int = 2) -> list[Candidate]:
+def _imitated(task: Task, laws: Sequence[Term], base: Candidate, each: int = 2, n: int = 2) -> list[Candidate]:
     """Laws fitted from the dynamic stiffness that the data show line by line at their places (`locate.imitated`).
 
     Nothing is assumed of its size on the way: an inerter that turns a joint's stiffness round within the band is out of
@@ -52,7 +47,7 @@ def _imitated(task: Task, laws: Sequence[Term], base: Candidate, each: int = 3, 
     nominal = afresh(task.engine, base)
     fresh = replace(base, fit=replace(base.fit, point=nominal))
     race, entries = Race(task, base), []
-    for rung, origin in ((0, fresh), (1, fresh), (1, base), (2, base)):
+    for rung, origin in ((0, fresh), (1, fresh), (1, base)):
         level = task.ladder[rung]
         shown = [(*imitated(task.engine, level, origin.fit.point, t), t) for t in laws]
         shown.sort(key=lambda x: -x[0])
