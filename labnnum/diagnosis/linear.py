@@ -215,7 +215,7 @@ def select(
             for c in [*found, *laws]:
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)
-        found = [c for c in found if not (stage and slight(c, task.wide))]
+        found = [c for c in found if not (stage and slight(c, task))]
         best = simplest(found, limits) if found else chain[-1]
         excess = max(dispersion(best.fit, data), 1.0)
         gain = (chain[-1].cost - best.cost) / excess
@@ -310,13 +310,20 @@ def still_open(terms: Sequence[Term], held: Sequence[Term]) -> list[Term]:
 
 
 SLIGHT = 3.0
-"""Standard deviations of what sound elements differ by, within which a further one that does is no fault."""
+"""Standard deviations of what sound parts differ by, within which a further one that does is no fault."""
 
 
-def slight(c: Candidate, sound: Scatter) -> bool:
-    """Whether the last term is an element that differs by no more than elements of sound structures do."""
-    own = zip(c.last.parameters, c.fit.point.terms[c.fit.point.terms.size - c.last.n :], strict=True)
-    return any(q.name == "relative_change" and abs(p) < SLIGHT * sound.stiffness for q, p in own)
+def slight(c: Candidate, task: Task) -> bool:
+    """Whether the last term is an element or a mass that differs by no more than those of sound structures do."""
+    last, sound = c.last, task.wide
+    p = c.fit.point.terms[c.fit.point.terms.size - last.n :]
+    if last.parameters and last.parameters[0].name == "relative_change":
+        return abs(p[0]) < SLIGHT * sound.stiffness
+    if last.mechanism.id != "added-mass" or not last.sought.groups:
+        return False
+    moved = last.sought.groups[0].columns
+    own = np.einsum("nk,nm,mk->k", moved, np.real(task.engine.structure.matrices(task.engine.theta0).M), moved)
+    return abs(p[0]) < SLIGHT * sound.mass * own.min(initial=np.inf)
 
 
 def finished(task: Task, terms: Sequence[Term], last: Candidate) -> bool:
