@@ -82,13 +82,16 @@ class Followed(Joint):
         return motions_of(run, r)
 
     def _orbit(self, run: Run, seen: NDArray, p: NDArray) -> Orbit:
-        force = np.stack([self._force(run, i, *seen[:, i].T, p[i]) for i in range(self.k)], axis=1)
+        force = np.stack([self._force(run, i, seen[:, i], p[i]) for i in range(self.k)], axis=1)
         none = np.zeros((2, 0)), np.zeros(self.k), np.zeros((self.k, 2))
         spectra = np.array([self._spectrum(run, f) for f in force.T])
         return Orbit(*none, spectra, force, seen, closing=0.0)
 
-    def _force(self, run: Run, i: int, z: NDArray, v: NDArray, f: NDArray, p: NDArray) -> NDArray[np.float64]:
-        """Law i's force on the structure; what holds a dry contact at rest is any force up to its limit."""
+    def _force(self, run: Run, i: int, seen: NDArray, p: NDArray) -> NDArray[np.float64]:
+        """Law i's force on the structure along motion, speed and force (n, 3); what holds a dry contact at rest is any
+        force up to its limit.
+        """
+        z, v, f = (np.ascontiguousarray(column) for column in seen.T)
         if self.terms[i].shape.law == "coulomb":
             return np.where(np.abs(v) > self.slow[i], -p[0] * np.sign(v), np.clip(f, -p[0], p[0]))
         return -force_along(self.terms[i].shape, z, v, p, around=run.lasting)
@@ -129,7 +132,7 @@ class Followed(Joint):
         step = np.zeros(N_P)
         scale = self.scale[self.n_base + at]
         step[i] = NUDGE * max(abs(p[i]), 1e-3 * scale)
-        moved = self._force(run, c, *orbit.motion[:, c].T, p + step) - orbit.time[:, c]
+        moved = self._force(run, c, orbit.motion[:, c], p + step) - orbit.time[:, c]
         return self._spectrum(run, moved) * (scale / step[i])
 
 
