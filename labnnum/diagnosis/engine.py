@@ -404,7 +404,7 @@ class Engine:
         common: NDArray | None = None, found: Found | None = None,
     ) -> Response:  # fmt: skip
         """FRFs at complex frequencies `s` (n_f,), in each channel's quantity and sign, with the errors `found`."""
-        return Evaluation(self, point, terms, s, found).run(jacobian, modal or common is not None, common)
+        return Evaluation(self, point, terms, s, found).run(jacobian, modal, common)
 
 
 def _mode_derivatives(stiff: NDArray, mass: NDArray, value: NDArray) -> tuple[NDArray, NDArray]:

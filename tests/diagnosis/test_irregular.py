@@ -9,7 +9,6 @@ import pytest
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import fit
 from labnnum.diagnosis.objective import Problem
-from labnnum.diagnosis.point import Found
 from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.sharpen import LEAST, USUAL, sharpened
 from labnnum.frf import Frf
@@ -120,31 +119,6 @@ def test_what_is_marginalised_counts_as_a_dense_covariance():
     prior = np.sum((((x - problem.mean) / problem.std) ** 2)[rest])
     assert problem.normal(x).objective == pytest.approx(dense + prior, rel=1e-9)
     assert problem.value(x) == pytest.approx(dense + prior, rel=1e-9)
-
-
-def test_derivatives_follow_the_errors_that_ride_on_a_mode():
-    """Sensors read a tenth more or less of each mode, loads are out of phase: the objective's own slope."""
-    made = engine(outputs=OUTPUTS[:2])
-    s = lines(60)
-    rng = np.random.default_rng(6)
-    start = made.start()
-    b = made.band_modes.size
-    found = Found(0.1 * rng.standard_normal((b, 2)) + 0j, 0.02j * rng.standard_normal((b, len(made.inputs))), None)
-    value = made.response(start, (), s, jacobian=True, found=found)
-    assert value.jacobian is not None
-    scatter = replace(Scatter(), common=0.01 * rng.standard_normal((len(made.irregular.kinds), 4)))
-    data = Data(s, value.value, np.asarray(0.003 * np.abs(value.value)))
-    problem = Problem(made, data, (), scatter)
-    x = start.vector()
-    x[problem._offsets] = 0.001 * rng.standard_normal(N)
-    slope = np.zeros(x.size)
-    for i in range(x.size):
-        step = np.zeros(x.size)
-        step[i] = 1e-6 * min(problem.reach[i], 1.0)
-        slope[i] = -(problem.value(x + step) - problem.value(x - step)) / (4 * step[i])
-    near, far = (np.linalg.norm((problem.normal(x, riding=k).gradient - slope)[: -made.n_law]) for k in (True, False))
-    assert near < 0.05 * np.linalg.norm(slope[: -made.n_law])
-    assert near < 0.2 * far
 
 
 @pytest.mark.parametrize("gross", ["mass", "gain", "floor"])
