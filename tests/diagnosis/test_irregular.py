@@ -71,7 +71,7 @@ def test_a_part_changes_the_response_as_its_column_says(kind, which):
     at = kinds.index(kind) + which
     common = np.eye(len(kinds))[:, [at]]
     point = made.start()
-    r = made.response(point, (), s, jacobian=True, modal=True, common=common)
+    r = made.response(point, (), s, jacobian=True, common=common)
     assert r.common is not None
     assert r.moved is not None
     assert r.jacobian is not None
