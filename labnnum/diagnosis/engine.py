@@ -19,7 +19,7 @@ from labnnum.diagnosis.affine import affine
 from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.irregular import Irregular
 from labnnum.diagnosis.mesh import FINE, Inside
-from labnnum.diagnosis.point import Found, Point, Response, State
+from labnnum.diagnosis.point import Point, Response, State
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import Site, Term
@@ -401,10 +401,10 @@ class Engine:
 
     def response(
         self, point: Point, terms: Sequence[Term], s: NDArray, *, jacobian: bool = False, modal: bool = False,
-        common: NDArray | None = None, found: Found | None = None,
+        common: NDArray | None = None,
     ) -> Response:  # fmt: skip
-        """FRFs at complex frequencies `s` (n_f,), in each channel's quantity and sign, with the errors `found`."""
-        return Evaluation(self, point, terms, s, found).run(jacobian, modal, common)
+        """FRFs at complex frequencies `s` (n_f,), in each channel's quantity and sign."""
+        return Evaluation(self, point, terms, s).run(jacobian, modal or jacobian, common)
 
 
 def _mode_derivatives(stiff: NDArray, mass: NDArray, value: NDArray) -> tuple[NDArray, NDArray]:

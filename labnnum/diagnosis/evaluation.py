@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.point import Found, Point, Response
+from labnnum.diagnosis.point import Point, Response
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import ChannelMechanism, Term
@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 class Evaluation:
     """One evaluation: the steps share what they compute."""
 
-    def __init__(
-        self, engine: Engine, point: Point, terms: Sequence[Term], s: NDArray, found: Found | None = None
-    ) -> None:
-        self.e, self.point, self.s, self.found = engine, point, s, found
+    def __init__(self, engine: Engine, point: Point, terms: Sequence[Term], s: NDArray) -> None:
+        self.e, self.point, self.s = engine, point, s
         self.acting = [(t, self._slice(terms, i)) for i, t in enumerate(terms) if t.groups]
         self.others = [(t, self._slice(terms, i)) for i, t in enumerate(terms) if not t.groups]
         self.n_terms = point.terms.size
@@ -32,12 +30,6 @@ class Evaluation:
         self.state = engine.state(point.theta, [(w, point.terms[c]) for w, c in self.changes])
         self.change = point.theta - engine.theta0
         self._modes()
-        if found is not None:
-            out, b = self.state.out.astype(complex), engine.band_modes
-            out[b] += found.out
-            self.state = replace(self.state, out=out)
-            self.load = self.load.astype(complex)
-            self.load[b] += found.load
         self._points()
 
     @staticmethod
@@ -128,9 +120,6 @@ class Evaluation:
         z_in = z_out = None
         if self.acting:
             q, x, p_out, z_in, z_out = self._couple(q, x, p_out)
-        if self.found is not None and self.found.parts is not None:
-            q, z_in = self._irregular(q, z_in, self.found.parts)
-            p_out, z_out = self._irregular(p_out, z_out, self.found.parts)
         if e.finer:
             q, x, p_out = self._refined(q, x, p_out, jacobian or modal)
         if e.is_base:
@@ -160,20 +149,6 @@ class Evaluation:
             own = own * (lift * chain)[None]
             own = own if swap is None else np.stack([swap(c) for c in own])
         return Response(value, jac, q[b], p_out[b], lift * chain, rest, rigid, others, own, moved)
-
-    def _irregular(self, q: NDArray, z: NDArray | None, parts: NDArray) -> tuple[NDArray, NDArray | None]:
-        """Modal motions (m, n, f), and those at the terms (k, n, f), with what the structure's irregular parts push, to
-        first order.
-        """
-        more = -self.d[:, None] * self.e.irregular.forces(self, q, parts[:, None])[0]
-        if z is None or self.rises is not None:
-            return q + more, z
-        dw = self.w.T[:, :, None] * self.d[:, None, :]
-        gw = _dot(self.w, dw)
-        if self.e.high.shape[1]:
-            gw = gw + self._remainder(self.w_high, self.w_high)
-        met = _solve(_across(gw, self.g), _dot(self.w, more))
-        return q + more - _across(dw, _across(self.g, met)), z + met
 
     def _refined(self, q: NDArray, x: NDArray, p_out: NDArray, both: bool) -> tuple[NDArray, NDArray, NDArray]:
         """With what a finer mesh lets bend, to first order but for the modes beside the band; frequencies of band modes

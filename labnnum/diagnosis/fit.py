@@ -49,13 +49,10 @@ def changes_of(made: Fit) -> list[tuple[Change, NDArray[np.float64]]]:
 HASTE = 3.0
 """How much faster than in its last step a fit may be expected to descend."""
 
-FINELY = 8
-"""Steps at least for the end of a fit, in which what is marginalised follows."""
-
 
 def fit(
     engine: Engine, data: Data, terms: Sequence[Term], scatter: Scatter, x: NDArray, *, steps: int = 12,
-    tolerance: float = 0.05, goal: float | None = None, finely: bool = True,
+    tolerance: float = 0.05, goal: float | None = None,
 ) -> Fit:  # fmt: skip
     """Levenberg-Marquardt from `x` to the nearest maximum of the posterior.
 
@@ -70,47 +67,39 @@ def fit(
     goal : float, optional
         An objective that another model has reached: ends where `HASTE` times the last gain in each step that is left
         would not lead there.
-    finely : bool
-        Whether the fit goes on, from where it would end, with what is marginalised following each step. As long as much
-        is wrong it must not, since what it takes up then is the fault.
     """
     problem = Problem(engine, data, terms, scatter)
     x = problem.clip(x)
-    here = problem.normal(x, riding=False)
-    damping, converged, riding = 1e-3, False, False
+    here = problem.normal(x)
+    damping, converged = 1e-3, False
     best = (here, x)
-    small, left = 0, steps
-    while left > 0:
-        left -= 1
+    small = 0
+    for left in range(steps - 1, -1, -1):
         moved = False
         for _ in range(6):
             step = _step(problem, here, x, damping)
             trial = problem.clip(problem.centred(x, x + step))
             try:
-                value = problem.value(trial, None if riding else here)
+                value = problem.value(trial, here)
             except ModelError:  # a mass below nothing: too far
                 value = np.inf
             if np.isfinite(value) and value < here.objective:
                 moved = True
                 break
             damping *= 8.0
-        ended, lost = not moved, False
-        if moved:
-            gain = here.objective - value
-            x, damping = trial, max(damping / 6.0, 1e-9)
-            here = problem.normal(x, riding=riding)
-            if here.objective < best[0].objective:
-                best = (here, x)
-            small = small + 1 if gain < max(tolerance, 1e-4 * value) else 0
-            ended = small == 2 or (small > 0 and damping < 1e-4)
-            lost = goal is not None and value - goal > HASTE * gain * left
-        if (ended or lost or not left) and finely and not riding:
-            riding, small, damping, left = True, 0, 1e-3, max(left, FINELY)
-            x = best[1]
-            here = problem.normal(x)
+        if not moved:
+            converged = True
+            break
+        gain = here.objective - value
+        x, damping = trial, max(damping / 6.0, 1e-9)
+        here = problem.normal(x)
+        if here.objective < best[0].objective:
             best = (here, x)
-        elif ended or lost:
-            converged = ended
+        small = small + 1 if gain < max(tolerance, 1e-4 * value) else 0
+        if small == 2 or (small and damping < 1e-4):
+            converged = True
+            break
+        if goal is not None and value - goal > HASTE * gain * left:
             break
     here, x = best
     covariance, log_det = _covariance(here.hessian, problem, x)

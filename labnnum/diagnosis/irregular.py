@@ -96,40 +96,33 @@ class Irregular:
         every[:, b, b] = 0.0
         return every, moved
 
-    def forces(self, one: Evaluation, q: NDArray, sizes: NDArray) -> NDArray[np.complex128]:
-        """Dynamic stiffness of parts that differ by the columns of `sizes` (n_parts, k), times the modal motions
-        `q` (m, n, f): (k, m, n, f).
-        """
-        s, e = one.s, one.e
-        h = float(one.point.law[0])
-        middle = float(np.exp(np.mean(np.log(np.maximum(one.omega[e.band_modes], 1e-300)))))
-        loss = 2 * float(np.exp(np.mean(one.point.log_zeta))) * ((1 - h) * s / middle + 1j * h)
-        every, kinds = self.couplings(one)[0], np.array(self.kinds)
-        out = np.zeros((sizes.shape[1], *q.shape), complex)
-        for pick, factor in (
-            (kinds == "stiffness", np.ones_like(s)),
-            ((kinds == "loss") | (kinds == "zone"), loss),
-            (kinds == "mass", s**2),
-        ):
-            if pick.any():
-                mixed = np.tensordot(sizes[pick].T, every[pick], 1)  # (k, m, m)
-                out += np.tensordot(mixed, q, 1) * factor
-        return out
-
     def columns(
         self, one: Evaluation, q: NDArray, p_out: NDArray, common: NDArray
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
         """Displacements (k, o, i, f) that parts add which differ by the directions `common` (n_parts, k), and relative
         frequency changes (k, m_b) of band modes, which the displacements leave out.
         """
-        st, e = one.state, one.e
-        pushed = self.forces(one, q, common)
-        out = -np.einsum("mof,kmif->koif", p_out, pushed, optimize=True)
-        moved = self.couplings(one)[1]
+        st, s, e = one.state, one.s, one.e
+        h = float(one.point.law[0])
+        middle = float(np.exp(np.mean(np.log(np.maximum(one.omega[e.band_modes], 1e-300)))))
+        loss = 2 * float(np.exp(np.mean(one.point.log_zeta))) * ((1 - h) * s / middle + 1j * h)
+        every, moved = self.couplings(one)
+        kinds = np.array(self.kinds)
+        out = np.zeros((common.shape[1], p_out.shape[1], q.shape[1], s.size), complex)
+        for pick, factor in (
+            (kinds == "stiffness", np.ones_like(s)),
+            ((kinds == "loss") | (kinds == "zone"), loss),
+            (kinds == "mass", s**2),
+        ):
+            if not pick.any():
+                continue
+            mixed = np.tensordot(common[pick].T, every[pick], 1)  # (k, m, m)
+            pushed = np.tensordot(mixed, q, 1)  # (k, m, i, f)
+            out -= np.einsum("mof,kmif->koif", p_out, pushed, optimize=True) * factor
         if self.first.size and e.is_base:
             w = self.masses.T @ st.shape
             carried = np.add.reduceat(w * (self.masses.T @ st.rigid)[:, None], self.first, axis=0)
-            load = common[np.array(self.kinds) == "mass"].T @ carried  # (k, m)
+            load = common[kinds == "mass"].T @ carried  # (k, m)
             out -= np.einsum("km,mof->kof", load, p_out, optimize=True)[:, :, None]
         return out, common.T @ moved
 

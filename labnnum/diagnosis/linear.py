@@ -27,7 +27,6 @@ from labnnum.diagnosis.task import (
     count,
     data_of,
     dispersion,
-    either_way,
     settled,
     simplest,
     winner_base,
@@ -260,9 +259,7 @@ def _beside(task: Task, base: Candidate, found: Sequence[Candidate]) -> Candidat
 
 def _anew(task: Task, c: Candidate) -> Candidate:
     """A candidate fitted to the task's data under its errors."""
-    made = fit(task.engine, task.data, c.terms, task.scatter, c.fit.point.vector(), steps=12)
-    again = task.priced(c.terms, made)
-    return either_way(task, again) if c.terms else again
+    return task.priced(c.terms, fit(task.engine, task.data, c.terms, task.scatter, c.fit.point.vector(), steps=12))
 
 
 def _in_its_place(task: Task, found: Sequence[Candidate], first: Candidate) -> Candidate | None:

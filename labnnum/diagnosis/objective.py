@@ -18,27 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.point import Found, Response
+from labnnum.diagnosis.point import Response
 from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.errors import LabnnumError
 from labnnum.mechanisms.base import Term
 from labnnum.mechanisms.changes import Change
-
-
-@dataclass(frozen=True, eq=False)
-class Marginalised:
-    """What is marginalised at one point: columns of each row and in common, and as much of them as the data ask for."""
-
-    residual: NDArray
-    rows: NDArray
-    common: NDArray
-    moved: NDArray
-    left: float
-    """Whitened squares and the price of frequency offsets, what is marginalised taken off at its price."""
-    of_rows: NDArray
-    """Coefficients (rows, n) in standard deviations."""
-    of_common: NDArray
-    """(k,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +34,9 @@ class Normal:
     prior_part: float
     gradient: NDArray
     hessian: NDArray
-    marginalised: Marginalised
+    nuisance: NDArray
+    common: NDArray
+    moved: NDArray
 
 
 ROUGH = 0.1
@@ -99,7 +85,6 @@ class Problem:
                 low[at], high[at] = self.mean[at] - scatter.trim * width, self.mean[at] + scatter.trim * width
                 self.std[first : first + m] = 10.0 * scatter.trim * width
         self.low, self.high = low, high
-        self._last: tuple[bytes, Marginalised] | None = None
         self.root2 = np.sqrt(2.0)
         own_reach = [max(q.upper - q.lower, 1e-300) for t in self.terms for q in t.parameters]
         self.reach = np.concatenate(
@@ -216,20 +201,6 @@ class Problem:
                 out[len(every) * i + k, :, i] = factor * r.value[:, i]
         return out
 
-    def _loads(self, r: Response) -> NDArray[np.complex128]:
-        """Columns (m_b, n_out, n_in, n_f) of each mode's load out of phase with its motion, of all its responses alike.
-
-        The shape where the force acts is as complex as it is at the sensors. A mode that is driven near a node of its
-        own shows little else, and in all responses at once.
-        """
-        e, sc = self.engine, self.scatter
-        assert r.modal is not None
-        assert r.modal_out is not None
-        assert r.lift is not None
-        if len(e.inputs) > len(e.outputs):  # there it is the sensors' shapes that all inputs share
-            return 1j * sc.complexity * e.typical[:, None, None, None] * r.modal[:, None] * r.lift
-        return 1j * sc.complexity * e.load_typical[:, None, None, None] * r.modal_out[:, :, None] * r.lift
-
     def _loosened(self, columns: NDArray, channel: int, r: Response) -> NDArray:
         """The columns with those of one channel's rows widened, and its share of every mode outside the band free."""
         assert r.other_modal is not None
@@ -279,19 +250,16 @@ class Problem:
             out.append(np.stack([a * size * f * u for f in (np.ones_like(s), s, s**2) for a in (1.0, 1j)]))
         return out
 
-    def value(self, x: NDArray, like: Normal | None = None) -> float:
-        """Objective at `x`, what is marginalised as there or, if given, as at `like`."""
-        if like is None:
-            return self._at(x).left + self._price(x)
-        held = like.marginalised
+    def value(self, x: NDArray, like: Normal) -> float:
+        """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
         resp = self.engine.response(self.start.with_vector(x), self.terms, self.data.s)
         r = self._rows(self.data.value - resp.value)
-        return self._left(r, held.rows, held.common, self._shifted(x, held.moved))[0] + self._price(x)
+        return self._reduce(r, like.nuisance, like.common, self._shifted(x, like.moved)) + self._price(x)
 
     def marginal(self, x: NDArray) -> float:
         """Whitened squares at `x` with what is marginalised taken off at its price; nothing for `x` itself."""
-        at = self._at(x)
-        return at.left - self._price_of_offsets(x, at.moved)
+        r, b, c, _, moved = self._parts(x, jacobian=False)
+        return self._reduce(r, b, c, self._shifted(x, moved)) - self._price_of_offsets(x, moved)
 
     def _price(self, x: NDArray) -> float:
         """Price of what is fitted; of frequency offsets only where no part of the structure explains them."""
@@ -317,116 +285,54 @@ class Problem:
         """Gram matrix of the prior of frequency offsets, (k + 1, k + 1): what directions of irregularity move them by,
         and where they are.
         """
-        if self._common is None:
-            return np.zeros((len(moved) + 1, len(moved) + 1))
         c = np.vstack([-moved, -(x - self.mean)[self._offsets]]) / self.std[self._offsets]
-        return c @ c.T
+        return c @ c.T if moved.size else np.zeros((1, 1))
 
-    def _parts(self, x: NDArray, *, riding: bool = True) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+    def _parts(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray, NDArray, NDArray, NDArray | None, NDArray]:
         """Residuals (rows, 2 f), what is marginalised by row and in common (rows, 2 f, n), derivatives to `x`, and by
         how much what is common moves frequencies (k, m_b).
-
-        `riding`: derivatives of the model with as much of what is marginalised as the data ask for. A shape error rides
-        on its mode's peak, and where the mode is hardly driven or seen it is all that there is of it.
         """
-        at = self._at(x)
-        point, found = self.start.with_vector(x), self._found(at) if riding else None
-        resp = self.engine.response(point, self.terms, self.data.s, jacobian=True, found=found)
-        assert resp.jacobian is not None
-        j = resp.jacobian if found is None else resp.jacobian * (1.0 + self._scaled(at))
-        return at.residual, at.rows, at.common, self._rows(j), at.moved
-
-    def _at(self, x: NDArray) -> Marginalised:
-        """What is marginalised at `x`; that of the last one is remembered."""
-        key = x.tobytes()
-        if self._last is None or self._last[0] != key:
-            self._last = (key, self._marginalised(x))
-        return self._last[1]
-
-    def _marginalised(self, x: NDArray) -> Marginalised:
-        point, common = self.start.with_vector(x), self._common
-        resp = self.engine.response(point, self.terms, self.data.s, modal=True, common=common)
-        r, b = self._rows(self.data.value - resp.value), self._nuisance(resp, x)
-        c, moved = np.zeros((*r.shape, 0)), np.zeros((0, point.shift.size))
-        if not self.scatter.trim:
-            shared = self._loads(resp)
-            if resp.common is not None and resp.moved is not None:
-                shared, moved = np.concatenate([resp.common, self._inputs(resp), shared]), resp.moved
-            c = self._rows(shared)
-            moved = np.vstack([moved, np.zeros((len(shared) - len(moved), point.shift.size))])
-        left, of_rows, of_common = self._left(r, b, c, self._shifted(x, moved))
-        return Marginalised(r, b, c, moved, left, of_rows, of_common)
+        point = self.start.with_vector(x)
+        common = self._common
+        resp = self.engine.response(point, self.terms, self.data.s, jacobian=jacobian, modal=True, common=common)
+        r = self._rows(self.data.value - resp.value)
+        j = None if resp.jacobian is None else self._rows(resp.jacobian)
+        if resp.common is None or resp.moved is None:
+            return r, self._nuisance(resp, x), np.zeros((*r.shape, 0)), j, np.zeros((0, point.shift.size))
+        shared = np.concatenate([resp.common, self._inputs(resp)])
+        moved = np.vstack([resp.moved, np.zeros((len(shared) - len(resp.moved), point.shift.size))])
+        return r, self._nuisance(resp, x), self._rows(shared), j, moved
 
     @staticmethod
-    def _left(r: NDArray, b: NDArray, c: NDArray, shifted: NDArray) -> tuple[float, NDArray, NDArray]:
-        """Whitened squares of `r` and the price of frequency offsets, what is marginalised taken off at its price, and
-        as much of that as the data ask for.
-        """
+    def _reduce(r: NDArray, b: NDArray, c: NDArray, shifted: NDArray) -> float:
+        """Whitened squares of `r` and the price of frequency offsets, what is marginalised taken off at its price."""
         whole = float(np.sum(r * r)) + float(shifted[-1, -1])
-        gram, solved = by_rows(b, np.concatenate([c, r[..., None]], axis=2))
-        gram += shifted
+        gram = by_rows(np.concatenate([b, c, r[..., None]], axis=2), b.shape[2])
+        left = float(common_out(gram + shifted if c.shape[2] else gram, c.shape[2])[-1, -1])
+        return left if left >= 1e-9 * whole else whole  # so large that its own ordinary errors would explain anything
+
+    def normal(self, x: NDArray) -> Normal:
+        """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
+        r, b, c, j, moved = self._parts(x, jacobian=True)
+        assert j is not None
         k = c.shape[2]
-        own = np.linalg.solve(gram[:k, :k] + np.eye(k), gram[:k, -1])
-        left = float(gram[-1, -1] - gram[-1, :k] @ own)
-        if left < 1e-9 * whole:  # so large that its own ordinary errors would explain anything
-            left = whole
-        return left, solved[:, :, -1] - solved[:, :, :-1] @ own, own
-
-    def _found(self, at: Marginalised) -> Found | None:
-        """What the data ask for of the errors that ride on modes."""
-        sc, e, m = self.scatter, self.engine, self.start.shift.size
-        if sc.trim:
-            return None
-        own = self._coefficients(at)
-        n_o, n_i = len(e.outputs), len(e.inputs)
-        shapes = (sc.shape * own[:, :m] + 1j * sc.complexity * own[:, m : 2 * m]).reshape(n_o, n_i, m)
-        alike = 1j * sc.complexity * at.of_common[at.of_common.size - m :]
-        if n_i > n_o:
-            out = np.broadcast_to((e.typical * alike)[:, None], (m, n_o))
-            load = e.typical[:, None] * shapes.mean(axis=0).T
-        else:
-            out = e.typical[:, None] * shapes.mean(axis=1).T
-            load = np.broadcast_to((e.load_typical * alike)[:, None], (m, n_i))
-        common = self._common
-        parts = None if common is None else common @ at.of_common[: common.shape[1]]
-        return Found(out, load, parts)
-
-    def _coefficients(self, at: Marginalised) -> NDArray:
-        """Those of the rows, (rows, n), in deviations of an ordinary channel."""
-        own = at.of_rows.copy()
-        for i in self._loose:
-            own[self._rows_of(i)] *= LOOSE
-        return own
-
-    def _scaled(self, at: Marginalised) -> NDArray[np.complex128]:
-        """Gain and phase of each response, (n_out, n_in, n_f), that the data ask for."""
-        sc, m, n_o, n_i = self.scatter, self.start.shift.size, len(self.engine.outputs), len(self.engine.inputs)
-        s = self.data.s / np.abs(self.data.s).max()
-        own = self._coefficients(at)[:, 2 * m : 2 * m + 3].reshape(n_o, n_i, 3)
-        if self._common is not None:
-            first = self._common.shape[1]
-            own = own + at.of_common[first : first + 3 * n_i].reshape(n_i, 3)
-        own = own[..., None] * np.array([sc.gain, sc.phase, sc.phase])[:, None]
-        return own[:, :, 0] + 1j * own[:, :, 1] + s * own[:, :, 2]
-
-    def normal(self, x: NDArray, *, riding: bool = True) -> Normal:
-        """Objective, gradient and Gauss-Newton Hessian (halved) at `x`; `riding` as in `_parts`."""
-        r, b, c, j, moved = self._parts(x, riding=riding)
-        gram, _ = by_rows(b, np.concatenate([c, j, r[..., None]], axis=2))
-        free = common_out(gram + self._with_offsets(x, moved), c.shape[2])
-        at = self._at(x)
-        left = at.left
+        gram = by_rows(np.concatenate([b, c, j, r[..., None]], axis=2), b.shape[2])
+        if k:
+            gram += self._with_offsets(x, moved)
+        free = common_out(gram, k)
+        whole = float(np.sum(r * r))
+        both = float(free[-1, -1]) if free[-1, -1] >= 1e-9 * whole else whole
         hessian, gradient = free[:-1, :-1], free[:-1, -1]
         gradient = gradient - self._prior * (x - self.mean)
         asked = self._price_of_offsets(x, moved)
         price = self._price(x)
-        return Normal(left + price, left - asked, price + asked, gradient, hessian + np.diag(self._prior), at)
+        return Normal(
+            both + price, both - asked, price + asked, gradient, hessian + np.diag(self._prior), b, c, moved
+        )  # fmt: skip
 
     def _with_offsets(self, x: NDArray, moved: NDArray) -> NDArray:
         """The prior of frequency offsets in the normal matrix of [common, x, residual]."""
         k, m = moved.shape
-        if self._common is None:
-            return np.zeros((k + x.size + 1, k + x.size + 1))
         every = np.zeros((m, k + x.size + 1))
         every[:, :k] = -moved.T
         every[:, k + self._offsets.start : k + self._offsets.stop] = np.eye(m)
@@ -436,20 +342,17 @@ class Problem:
 
     def _price_of_offsets(self, x: NDArray, moved: NDArray) -> float:
         """Price of the frequency offsets, given what parts of the structure may move them by; data left aside."""
-        if self._common is None:
+        if not moved.size:
             return 0.0
         return float(common_out(self._shifted(x, moved), len(moved))[-1, -1])
 
 
-def by_rows(own: NDArray, shared: NDArray) -> tuple[NDArray, NDArray]:
-    """Gram matrix (m, m) of columns `shared` (rows, 2 f, m), summed over rows, each row's own (rows, 2 f, n), of
-    deviation one, marginalised; and what of these goes with each of the shared, (rows, n, m).
-    """
-    turned = own.transpose(0, 2, 1)
-    across = np.matmul(turned, shared)
-    solved = np.linalg.solve(np.matmul(turned, own) + np.eye(own.shape[2]), across)
-    gram = np.matmul(shared.transpose(0, 2, 1), shared) - np.matmul(across.transpose(0, 2, 1), solved)
-    return np.sum(gram, axis=0), solved
+def by_rows(every: NDArray, n: int) -> NDArray:
+    """Gram matrix of columns (rows, 2 f, n + m), summed over rows; each row's own first n are marginalised."""
+    gram = np.matmul(every.transpose(0, 2, 1), every)
+    across = gram[:, :n, n:]
+    solved = np.linalg.solve(gram[:, :n, :n] + np.eye(n), across)
+    return np.sum(gram[:, n:, n:] - np.matmul(across.transpose(0, 2, 1), solved), axis=0)
 
 
 def common_out(gram: NDArray, k: int) -> NDArray:

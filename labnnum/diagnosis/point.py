@@ -64,17 +64,6 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """Ordinary errors that the data ask for: what they add to each band mode's participation at the outputs, `out`
-    (m_b, n_out), and at the inputs, `load` (m_b, n_in), and sizes `parts` of the structure's irregular parts, if any.
-    """
-
-    out: NDArray[np.complex128]
-    load: NDArray[np.complex128]
-    parts: NDArray[np.float64] | None
-
-
-@dataclass(frozen=True, eq=False)
 class Response:
     """FRFs (n_out, n_in, n_f) with, where asked for, derivatives and the modal motions that shape errors scale."""
 

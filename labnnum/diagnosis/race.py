@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.fit import changes_of, fit
 from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.search import Lead, direction_score, grid_score, shortlist
-from labnnum.diagnosis.task import Candidate, Task, afresh, among, either_way, idle, settled, winner_base
+from labnnum.diagnosis.task import Candidate, Task, afresh, among, idle, settled, winner_base
 from labnnum.errors import ModelError
 from labnnum.mechanisms.base import Place, Term
 
@@ -108,7 +108,7 @@ def stage_of(task: Task, terms: Sequence[Term], before: Candidate, width: int) -
     if not (race.found and idle(task, begun, race.leader, task.coarse)):
         _further(race, terms, rough)
     ahead = among([c for c in race.found if not no_peak(task, c)], ())[: width // 2 + 1]
-    return sorted((either_way(task, task.priced(c.terms, task.refined(c.fit))) for c in ahead), key=lambda c: c.cost)
+    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
 def _further(race: Race, terms: Sequence[Term], rough: Sequence[Lead]) -> None:

@@ -49,7 +49,8 @@ class Profile:
     def __init__(self, engine: Engine, data: Data, scatter: Scatter, x: NDArray, terms: Sequence[Term] = ()) -> None:
         self.problem = Problem(engine, data, terms, scatter)
         self.x = x
-        r, b, c, own, moved = self.problem._parts(x)
+        r, b, c, own, moved = self.problem._parts(x, jacobian=True)
+        assert own is not None
         j = np.concatenate([c, own], axis=2)
         k = c.shape[2]
         gram = np.matmul(b.transpose(0, 2, 1), b) + np.eye(b.shape[2])

@@ -91,7 +91,8 @@ def _directions(engine: Engine, data: Data, made: Fit, sharp: Scatter, parts: li
         return None
     weight = np.array([getattr(sharp, k) for k in parts])
     p = Problem(engine, data, made.terms, replace(sharp, common=np.diag(weight)))
-    _, b, c, j, moved = p._parts(made.point.vector())
+    _, b, c, j, moved = p._parts(made.point.vector(), jacobian=True)
+    assert j is not None
     c = (c + j[:, :, p._offsets] @ moved.T)[:, :, : len(parts)]
     inner = np.linalg.solve(np.matmul(b.transpose(0, 2, 1), b) + np.eye(b.shape[2]), np.matmul(b.transpose(0, 2, 1), c))
     gram = (np.matmul(c.transpose(0, 2, 1), c) - np.matmul(np.matmul(c.transpose(0, 2, 1), b), inner)).sum(0)
@@ -106,7 +107,8 @@ class _Components:
     def __init__(self, problem: Problem, made: Fit, parts: list[str]) -> None:
         self.problem = problem
         x = made.point.vector()
-        r, b, c, j, moved = problem._parts(x)
+        r, b, c, j, moved = problem._parts(x, jacobian=True)
+        assert j is not None
         if parts:
             c = c + j[:, :, problem._offsets] @ moved.T
         m = problem.start.shift.size
@@ -116,7 +118,7 @@ class _Components:
         fitted = [""] * free + ["frequency"] * m + [""] * m + ["residue"] * m + [""] * (x.size - free - 3 * m)
         inputs = ["gain", "phase", "phase"] * len(problem.engine.inputs) if parts else []
         n = c.shape[2]
-        self.shared = np.array([*parts, *inputs, *["complexity"] * m, *fitted])
+        self.shared = np.array([*parts, *inputs, *fitted])
         std = np.concatenate([np.ones(n), problem.std])
         self.flat = ~np.isfinite(std)
         self.std = np.where(self.flat, 1.0, std)

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.fit import Fit, changes_of, fit
+from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.verdict import Limits
-from labnnum.errors import ModelError
 from labnnum.frf import Frf
-from labnnum.mechanisms.attached import Attached
 from labnnum.mechanisms.base import Place, Term
 
 
@@ -124,7 +122,7 @@ class Task:
 
     def rough(self, terms: Sequence[Term], x: NDArray, level: Data) -> Fit:
         """A few steps on one rung, all errors as large as they may be."""
-        return fit(self.engine, level, terms, self.wide, x, steps=8, tolerance=1.0, finely=False)
+        return fit(self.engine, level, terms, self.wide, x, steps=8, tolerance=1.0)
 
     def errors_on(self, level: Data) -> Scatter:
         """The ordinary errors that go with the lines themselves, or with one of the broadened data."""
@@ -182,40 +180,6 @@ def afresh(engine: Engine, before: Candidate) -> Point:
     the next mechanism may stand in its way.
     """
     return engine.start(before.terms, before.fit.point.terms)
-
-
-MIXED = 0.05
-"""Part of a mode's energy in other modes of the structure as it was, from which on it matters whose damping is free."""
-
-
-def either_way(task: Task, c: Candidate) -> Candidate:
-    """The candidate, or its last spring or mass put on the structure as it was, where that does better.
-
-    Damping is one ratio a mode, of the structure's own modes or of those that it has with the spring or mass on it. A
-    mass put on takes no dashpot away: the matrix of damping stays, and couples the new modes. Where a fault mixes modes
-    the two differ by far more than noise, and nobody knows beforehand which of them holds.
-    """
-    last, point = c.last, c.fit.point
-    if not isinstance(last.whole, Attached) or not _mixed(task.engine, c):
-        return c
-    terms = (*c.terms[:-1], last.sought)
-    start = replace(task.engine.start(terms, point.terms), theta=point.theta, law=point.law)
-    try:
-        made = task.refined(task.down(terms, start.vector(), 1))
-    except ModelError:
-        return c
-    other = task.priced(terms, made)
-    return other if other.cost < c.cost - task.limits.parameter else c
-
-
-def _mixed(engine: Engine, c: Candidate) -> bool:
-    """Whether the last term makes modes of several that the structure had without it."""
-    theta, changes = c.fit.point.theta, changes_of(c.fit)
-    own, whole = engine.state(theta, changes[:-1]), engine.state(theta, changes)
-    b = engine.seen_modes
-    share = own.shape.T @ np.real(engine.structure.matrices(theta).M) @ whole.shape[:, b]
-    energy = share**2 / np.maximum(np.sum(share**2, axis=0), 1e-300)
-    return bool(np.any(1.0 - energy.max(axis=0) > MIXED))
 
 
 def winner_base(before: Candidate, winner: Candidate) -> Candidate:
