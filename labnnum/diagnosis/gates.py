@@ -117,7 +117,9 @@ def bent_channel(observations: Sequence[Observation]) -> list[str]:
     row = int(np.argmax(top))
     if top[row] < BENT or (np.delete(top, row) > OTHERS * top[row]).any():
         return none
-    return [low.frf.outputs[row].name if c[row] > BENT else "" for c in changes]
+    name = low.frf.outputs[row].name
+    clips = [name if c[row] > BENT else "" for c in changes]
+    return none if _as_free(name, clips, observations) else clips
 
 
 def beyond(clips: Sequence[str], observations: Sequence[Observation]) -> list[str]:

@@ -1,5 +1,6 @@
 """What has no name is not given one: laws outside the catalogue, change by chance, distortion beside drift, scales."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -152,6 +153,17 @@ def _read(level, rows, peak, kind="hammer"):
 def test_a_channel_that_alone_reads_less_at_the_higher_level_clips(rows, kind, found):
     runs = [_read(1.0, (1, 1, 1), 1.0, kind), _read(3.0, rows, 2.0, kind)]
     assert bent_channel(runs) == ["", OUTPUTS[1].name if found else ""]
+
+
+@pytest.mark.parametrize(("peak", "held"), [(2.4, True), (3.0, False)])
+def test_hits_on_a_rail_are_held_back(peak, held):
+    """Of a channel whose peaks grow as all others' do only a structure can say less in proportion."""
+    name = OUTPUTS[1].name
+    others = {OUTPUTS[0].name: 1.0, OUTPUTS[2].name: 2.0, "f": 5.0}
+    low = replace(_read(1.0, (1, 1, 1), 1.0), peaks={**others, name: 1.0})
+    high = replace(_read(3.0, (1, 0.9, 1), 1.0), peaks={**{k: 3 * v for k, v in others.items()}, name: peak})
+    assert bool(bent_channel([low, high])[1]) is held
+    assert bool(beyond(["", name], [low, high])[1]) is held
 
 
 def test_a_rail_is_where_all_loud_runs_end():
