@@ -113,7 +113,7 @@ def answer(
         tried = refined(found, scatter, rivals(found, every, scatter))
         if not tried:
             return None
-        tried = [*corners(found, tried, scatter, POOR), *tried[1:]]
+        tried = [corners(found, tried, scatter, POOR), *tried[1:]]
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
         two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None
         return two or (found, laws_of(found, every, train, test, scatter, limits, progress, identified))

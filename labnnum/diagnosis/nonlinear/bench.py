@@ -186,14 +186,11 @@ SOFTER = 0.05
 
 def of_fit(one: Tried) -> Lead:
     """Its lead with the parameters where its fit ended."""
-    p, _ = one.made.law(0)
-    full = np.zeros(N_P)
-    full[: p.size] = p
-    return replace(one.lead, p=full)
+    return of_fits(one)[0]
 
 
 def of_fits(one: Tried) -> list[Lead]:
-    """Its leads with the parameters where its fit ended."""
+    """The leads of all its laws with the parameters where its fit ended."""
     out = []
     for i, lead in enumerate((one.lead, *one.more)):
         p, _ = one.made.law(i)

@@ -108,9 +108,8 @@ def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, 
     left holds all of its laws, the one that is missed most first.
     """
     chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
-    steps = steps_of(
-        [replace(t, last=True) for t in laws[-1].made.terms]
-    )  # with or without one that asks for fine ones
+    every = [replace(t, last=True) for t in laws[-1].made.terms]
+    steps = steps_of(every)  # for the others too, where one that asks for fine ones is left out
 
     def fitted(start: Tried, terms: Sequence[int]) -> Made | None:
         some = [replace(start.made.terms[i], last=True, steps=steps) for i in terms]

@@ -13,6 +13,8 @@ from collections.abc import Iterable
 import numpy as np
 from numba import njit
 
+from labnnum.mechanisms.stick_slip import SLIDERS
+
 LAWS: dict[str, tuple[str, ...]] = {
     "cubic": ("k3",),
     "quadratic": ("k2",),
@@ -38,8 +40,6 @@ LAWS: dict[str, tuple[str, ...]] = {
 CODES = {name: code for code, name in enumerate(LAWS)}
 N_P = 10
 """Room for the parameters of any law."""
-SLIDERS = 8
-"""Sliders that stand for a distribution of limits, each in the middle of its part."""
 
 
 def remembered(codes: Iterable[int]) -> int:
@@ -48,15 +48,15 @@ def remembered(codes: Iterable[int]) -> int:
 
 
 @njit(cache=True, inline="always")
-def _odds(i, p):  # pragma: no cover - compiled
-    """Limit of slider i, of the mean one."""
+def odds_of(i, p):  # pragma: no cover - compiled
+    """Limit of slider i, in the middle of its part of the spread, of the mean one."""
     return 1.0 + p[2] * (2.0 * i + 1.0 - SLIDERS) / SLIDERS
 
 
 @njit(cache=True, inline="always")
 def _slips(i, z, p, memory):  # pragma: no cover - compiled
     """Whether slider i moves on the way to z."""
-    return p[0] * abs(z - memory[i]) > p[1] * _odds(i, p)
+    return p[0] * abs(z - memory[i]) > p[1] * odds_of(i, p)
 
 
 @njit(cache=True)
@@ -65,7 +65,7 @@ def _slide(z, p, memory, lp):  # pragma: no cover - compiled
     force, slope = 0.0, 0.0
     spring, mean = p[0] / SLIDERS, p[1] / SLIDERS
     for i in range(SLIDERS):
-        odds = _odds(i, p)
+        odds = odds_of(i, p)
         trial, limit = spring * (z - memory[i]), mean * odds
         if abs(trial) > limit:
             s = 1.0 if trial > 0 else -1.0
@@ -406,7 +406,7 @@ def march(
                         if not _slips(i, motion[step, e, 0], p[e], memory[e]):
                             continue
                         s = 1.0 if motion[step, e, 0] > memory[e, i] else -1.0
-                        odds = _odds(i, p[e])
+                        odds = odds_of(i, p[e])
                         part = (2.0 * i + 1.0 - SLIDERS) / SLIDERS
                         for t in range(nt):
                             dz = dsee[e, 0, t]
@@ -430,7 +430,7 @@ def march(
                 z = motion[step, e, 0]
                 for i in range(SLIDERS):
                     if _slips(i, z, p[e], memory[e]):
-                        memory[e, i] = z - np.sign(z - memory[e, i]) * p[e, 1] * _odds(i, p[e]) / p[e, 0]
+                        memory[e, i] = z - np.sign(z - memory[e, i]) * p[e, 1] * odds_of(i, p[e]) / p[e, 0]
             f[e] = new[e]
     for r in range(m):
         for e in range(k):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from labnnum.diagnosis.nonlinear.march import SLIDERS, law
+from labnnum.diagnosis.nonlinear.march import SLIDERS, law, odds_of
 
 
 @njit(cache=True)
@@ -63,7 +63,7 @@ def along(code, z, v, p, turns):  # pragma: no cover - compiled
         one = np.empty(2)
         for i in range(SLIDERS):
             one[0] = p[0] / SLIDERS
-            one[1] = p[1] / SLIDERS * (1.0 + p[2] * (2.0 * i + 1.0 - SLIDERS) / SLIDERS)
+            one[1] = p[1] / SLIDERS * odds_of(i, p)
             out += _slid(z, one, turns)
         return out
     n = z.size

@@ -154,15 +154,15 @@ SLIDING = ("stick-slip", "hysteresis", "sliders")
 """Laws that yield, at once or bit by bit."""
 
 
-def corners(study: Study, tried: Sequence[Tried], scatter: Scatter, poor: float) -> list[Tried]:
-    """The best law alone; where it has corners and leaves more than `poor` times the noise, with finer steps."""
+def corners(study: Study, tried: Sequence[Tried], scatter: Scatter, poor: float) -> Tried:
+    """The best law; where it has corners and leaves more than `poor` times the noise, with finer steps."""
     best = tried[0]
     kinked = SHAPES[best.mechanism].law in KINKED and not best.made.terms[0].last
     if not kinked or not best.simulated or best.made.data_part < poor * best.made.count:
-        return [best]
+        return best
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
     finer = bench.carry_on(best, LONG, last=True)
-    return [finer if finer.cost < best.cost else best]
+    return finer if finer.cost < best.cost else best
 
 
 def _coarse(t: Tried) -> bool:
