@@ -179,7 +179,7 @@ def _verdict(
     named = []
     for i, candidate in enumerate(selection.chain[1:]):
         rivals = selection.stages[i]
-        named.append(_named(final.fit, i + len(base.terms), _confidence(rivals, candidate), scatter))
+        named.append(named_of(final.fit, i + len(base.terms), _confidence(rivals, candidate), scatter))
     verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
     return verdict, tuple(named), ""
 
@@ -219,7 +219,8 @@ def _confidence(stage: Sequence[Candidate], best: Candidate) -> float:
     return float(1.0 / weights.sum())
 
 
-def _named(made: Fit, i: int, confidence: float, scatter: Scatter) -> Named:
+def named_of(made: Fit, i: int, confidence: float, scatter: Scatter) -> Named:
+    """The i-th term of a fit, with its parameters and their standard deviations."""
     first = made.n_theta + sum(t.n for t in made.terms[:i])
     term = made.terms[i]
     at = slice(first, first + term.n)

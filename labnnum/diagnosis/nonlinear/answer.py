@@ -17,10 +17,10 @@ from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
 from labnnum.diagnosis.nonlinear.pairs import BETTER, paired, study_of
-from labnnum.diagnosis.nonlinear.records import changed, split
+from labnnum.diagnosis.nonlinear.records import Split, changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import base_again, corners, of_known, refined, search
+from labnnum.diagnosis.nonlinear.study import anew, base_again, corners, of_known, refined, search
 from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import Observation
@@ -34,6 +34,7 @@ def answer(
     engine: Engine, train: Sequence[Observation], test: Sequence[Observation], places: Places, scatter: Scatter,
     limits: Limits, span: tuple[float, float], progress: Callable[[str], None] = lambda text: None,
     others: Sequence[Observation] = (), known: Sequence[Lead] = (), nearly: float = 0.0, doubted: int | None = None,
+    suspicious: bool = True,
 ) -> NonlinearAnswer | None:  # fmt: skip
     """What nonlinear physics the observations show; None where they show none.
 
@@ -53,23 +54,15 @@ def answer(
         told by the time at which distortion comes, where that tells.
     doubted : int, optional
         Number of a response of periodic runs that is left out.
+    suspicious : bool
+        Whether responses are left out one after the other where a law leaves too much.
     """
     identified = isinstance(engine.structure, ModalStructure)
-    train = sorted((o for o in train if o.run is not None), key=lambda o: o.level)
-    test = sorted((o for o in test if o.run is not None), key=lambda o: o.level)
-    runs = [o.run for o in train if o.run is not None]
-    whole: tuple[Observation, ...] = ()
-    if not runs:
-        if not changed(others):
-            return None
-        b = engine.band_modes
-        parts = split(others, float(1 / np.min(engine.zeta0[b] * engine.state(engine.theta0).omega[b])))
-        train = sorted((_within(o, span) for o in parts.train), key=lambda o: o.level)
-        test = sorted((_within(o, span) for o in parts.test), key=lambda o: o.level)
-        runs, whole = [o.run for o in train if o.run is not None], parts.whole
-    elif not signs(runs).present:
+    parts = parts_of(engine, train, test, others, span)
+    if parts is None:
         return None
-    train, runs = _levels(train, runs)
+    train, test, whole = list(parts.train), list(parts.test), parts.whole
+    runs = [o.run for o in train if o.run is not None]
     i = quietest(runs)
     point = base_point(engine, train[i], scatter, span)
     if known:
@@ -114,6 +107,7 @@ def answer(
         if not tried:
             return None
         tried = [corners(found, tried, scatter, POOR), *tried[1:]]
+        tried[0] = anew(found, tried, scatter)
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
         two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None
         return two or (found, laws_of(found, every, train, test, scatter, limits, progress, identified))
@@ -142,7 +136,7 @@ def answer(
             done = both(seen)
             far = done is None
         last = None if done is None else done[1][-1].made
-        if not (whole or nearly) and (last is None or last.data_part > POOR * last.count):
+        if suspicious and not (whole or nearly) and (last is None or last.data_part > POOR * last.count):
             lying = suspect(train, seen, exploring)
         if lying is None and seen is not None and far:
             return unsimulated(seen, train, test, scatter)
@@ -170,6 +164,42 @@ def answer(
         made, lying=lying[0], linearised=tuple(every_channel[: len(train)]),
         linearised_held_out=tuple(every_channel[len(train) :]),
     )  # fmt: skip
+
+
+def promised(
+    engine: Engine, parts: Split, places: Places, scatter: Scatter, span: tuple[float, float]
+) -> float:  # fmt: skip
+    """Chi-square per value that the best law along the recovered motion leaves; infinite where none is there."""
+    runs = [o.run for o in parts.train if o.run is not None]
+    i = quietest(runs)
+    point = base_point(engine, parts.train[i], scatter, span)
+    every = spots(engine, engine.site(places.nodes, places.elements, places.supports))
+    seen = explore(engine, point, runs, i, every, scatter, lines=FEW, carry_on=False)
+    return np.inf if seen is None else seen.level
+
+
+def parts_of(
+    engine: Engine, train: Sequence[Observation], test: Sequence[Observation], others: Sequence[Observation],
+    span: tuple[float, float],
+) -> Split | None:  # fmt: skip
+    """Runs to fit and runs held out, by level, and the originals of hits, noise and sweeps; None where no run shows
+    nonlinear signs.
+    """
+    train = sorted((o for o in train if o.run is not None), key=lambda o: o.level)
+    test = sorted((o for o in test if o.run is not None), key=lambda o: o.level)
+    runs = [o.run for o in train if o.run is not None]
+    whole: tuple[Observation, ...] = ()
+    if not runs:
+        if not changed(others):
+            return None
+        b = engine.band_modes
+        parts = split(others, float(1 / np.min(engine.zeta0[b] * engine.state(engine.theta0).omega[b])))
+        train = sorted((_within(o, span) for o in parts.train), key=lambda o: o.level)
+        test = sorted((_within(o, span) for o in parts.test), key=lambda o: o.level)
+        runs, whole = [o.run for o in train if o.run is not None], parts.whole
+    elif not signs(runs).present:
+        return None
+    return Split(tuple(_levels(train, runs)[0]), tuple(test), whole)
 
 
 def _poor(last: Tried) -> bool:

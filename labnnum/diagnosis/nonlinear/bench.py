@@ -143,6 +143,14 @@ class Bench:
         made = [tried_fit(joint, x, [None] * len(self.runs), lead, steps) for x in begin]
         return min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
 
+    def again(self, x: NDArray, one: Tried, lead: Lead, steps: int) -> Tried | None:
+        """A simulated fit from another base vector and other parameters of its law, with as fine steps."""
+        joint = Joint(
+            self.engine, self.point, self.runs, [replace(lead.acting(), last=one.made.terms[0].last)], self.scatter,
+            self.lines,
+        )  # fmt: skip
+        return tried_fit(joint, joint.start(x), [None] * len(self.runs), one.lead, steps)
+
     def law_alone(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
         """A law fitted by simulation, the base held where `x` has it."""
         joint = self.joint([lead])

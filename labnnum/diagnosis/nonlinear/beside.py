@@ -7,16 +7,32 @@ law is sought once more.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
+from labnnum.diagnosis.decide import named_of
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
-from labnnum.diagnosis.nonlinear.explore import LEAVES, STRAINED
-from labnnum.diagnosis.verdict import Diagnosis
+from labnnum.diagnosis.nonlinear.explore import LEAVES, MISLED, STRAINED, calmed
+from labnnum.diagnosis.nonlinear.mended import Fault, faults_of
+from labnnum.diagnosis.nonlinear.records import Split
+from labnnum.diagnosis.nonlinear.start import base_point, quietest
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.scatter import Scatter
+from labnnum.diagnosis.task import Candidate
+from labnnum.diagnosis.verdict import Diagnosis, Named
 from labnnum.errors import LabnnumError
 from labnnum.mechanisms.extended import Added, ExtendedStructure
 from labnnum.parameters import Parameter
 
+PROMISING = 0.9
+"""The same for what is found at the quietest level, where the law itself makes a part of what is left."""
+SURE = 0.99
+"""Confidence in a fault of a channel without which a law explains what it does not with it."""
+ONE_LEVEL = 1.05
+"""Ratio of two levels below which they are one."""
 WORTH = 0.75
 """Part of what the base alone leaves beside a law to which something linear must bring it down to be tried there."""
 
@@ -32,22 +48,89 @@ def added_to(engine: Engine, rest: Diagnosis) -> Engine | None:
     """The engine of the structure with what the linear search found in it, named or not: whether it was that, the law
     decides. None where nothing was found, or something that is no part of a structure.
     """
-    chain = rest.detail["selection"].chain
-    best = chain[-1]
-    if not best.terms or best.cost > WORTH * chain[0].cost or any(t.mechanism.domain != "linear" for t in best.terms):
+    found = _found(rest)
+    if found is None or any(t.mechanism.domain != "linear" for t in found.terms):
         return None
+    wider = _with(engine, found)
+    return None if wider is engine else wider
+
+
+@dataclass(frozen=True, eq=False)
+class Beneath:
+    """Engines with linear physics of the quietest level in their structure, one mechanism each, since one of several is
+    the law as that level sees it; the faults of channels there; and these as they are named where a law beside them
+    leaves nothing.
+    """
+
+    engines: list[Engine]
+    faults: list[Fault]
+    named: tuple[Named, ...]
+
+
+def beneath(engine: Engine, quiet: Diagnosis) -> Beneath | None:
+    """The same from the quietest level alone, where most laws are next to linear: the engine with what was found in the
+    structure, and the faults of channels. None where nothing was found.
+    """
+    found = _found(quiet, PROMISING)
+    if found is None:
+        return None
+    faults = faults_of(found.terms, found.fit.point.terms)
+    linear = [i for i, t in enumerate(found.terms) if t.mechanism.domain == "linear"]
+    some = [linear] if len(linear) < 2 else [[i] for i in linear]
+    engines = [_with(engine, found, which) for which in some]
+    if all(e is engine for e in engines) and not faults:
+        return None
+    scatter = quiet.detail["selection"].scatter
+    every = [named_of(found.fit, i, SURE, scatter) for i in range(len(found.terms))]
+    wrong = {f.term for f in faults}
+    return Beneath(engines, faults, tuple(n for n in every if n.term in wrong))
+
+
+def misled(engine: Engine, parts: Split, scatter: Scatter, span: tuple[float, float]) -> bool:
+    """Whether the base leaves more than noise of the run that distorts least: it is a strong law's, or not linear
+    alone that is missing.
+    """
+    runs = [o.run for o in parts.train if o.run is not None]
+    i = quietest(runs)
+    calm = calmed(engine, base_point(engine, parts.train[i], scatter, span), runs[i], scatter)
+    return calm.data_part > MISLED * calm.count
+
+
+def quietest_of(usable: Sequence[Observation], train: Sequence[Observation]) -> list[Observation]:
+    """Runs of the lowest level, of those that are fitted where these are periodic."""
+    some = [o for o in train if o.run is not None] or list(usable)
+    least = min(o.level for o in some)
+    return [o for o in some if o.level < ONE_LEVEL * least]
+
+
+def _found(rest: Diagnosis, worth: float = WORTH) -> Candidate | None:
+    """The last model of a linear search, if it is named or worth far more than the structure as it is."""
+    chain = rest.detail["selection"].chain
+    enough = bool(rest.named) or chain[-1].cost < worth * chain[0].cost
+    return chain[-1] if chain[-1].terms and enough else None
+
+
+def _with(engine: Engine, found: Candidate, which: Sequence[int] | None = None) -> Engine:
+    """The engine of the structure that holds the linear mechanisms found, or those of the terms `which` only; without
+    the last where it cannot be built with it, and so on: a motion that has no mass, or no mode in the band.
+    """
     added, at = [], 0
-    for t in best.terms:
-        values = zip(t.parameters, best.fit.point.terms[at : at + t.n], strict=True)
-        added.append(Added(t.sought, tuple(_about(p, float(v)) for p, v in values)))
+    for i, t in enumerate(found.terms):
+        values = zip(t.parameters, found.fit.point.terms[at : at + t.n], strict=True)
+        if t.mechanism.domain == "linear" and (which is None or i in which):
+            added.append(Added(t.sought, tuple(_about(p, float(v)) for p, v in values)))
         at += t.n
-    try:
-        wider = Engine(ExtendedStructure(engine.structure, tuple(added)), engine.outputs, engine.inputs, engine.band)
-    except (LabnnumError, np.linalg.LinAlgError):
-        return None  # no mode of it lies in the band, for instance
-    n = min(wider.zeta0.size, engine.zeta0.size)
-    wider.zeta0[:n] = engine.zeta0[:n]  # what moves in a support has no damping of its own, and modes no less for it
-    return wider
+    while added:
+        try:
+            structure = ExtendedStructure(engine.structure, tuple(added))
+            wider = Engine(structure, engine.outputs, engine.inputs, engine.band)
+        except (LabnnumError, np.linalg.LinAlgError):
+            added.pop()
+            continue
+        n = min(wider.zeta0.size, engine.zeta0.size)
+        wider.zeta0[:n] = engine.zeta0[:n]  # what moves in a support has no damping of its own, and modes no less
+        return wider
+    return engine
 
 
 def _about(p: Parameter, value: float) -> Parameter:

@@ -99,8 +99,7 @@ def explore(
         Whether smooth laws of one term that have no name compete with the named ones.
     """
     bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
-    alone = Joint(engine, point, [runs[quiet]], (), scatter, [choose_lines(runs[quiet], 2 * lines, scatter.floor)])
-    calm = fit(alone, alone.start(), [None], steps=15)
+    calm = calmed(engine, point, runs[quiet], scatter, lines)
     plain = bench.joint([])
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
     progress("locating")
@@ -133,6 +132,12 @@ def explore(
         sliders = stuck(bench, quiet, best.recovered, HELD, LONG)
         best = replace(best, near=tuple(sorted([*best.near, *sliders], key=lambda t: t.cost)))
     return best
+
+
+def calmed(engine: Engine, point: Point, run: Run, scatter: Scatter, lines: int = LINES) -> Made:
+    """The base model alone, fitted to the run that distorts least."""
+    alone = Joint(engine, point, [run], (), scatter, [choose_lines(run, 2 * lines, scatter.floor)])
+    return fit(alone, alone.start(), [None], steps=15)
 
 
 STRAINED = 4.0

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.answer import answer
-from labnnum.diagnosis.nonlinear.beside import added_to, strained
+from labnnum.diagnosis.nonlinear.answer import answer, parts_of, promised
+from labnnum.diagnosis.nonlinear.beside import Beneath, added_to, beneath, misled, quietest_of, strained
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
 from labnnum.diagnosis.nonlinear.decision import (
     EQUAL,
@@ -23,13 +23,14 @@ from labnnum.diagnosis.nonlinear.decision import (
     NonlinearAnswer,
 )
 from labnnum.diagnosis.nonlinear.detect import CHANGE
+from labnnum.diagnosis.nonlinear.explore import NOISY
 from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
-from labnnum.mechanisms.base import ChannelMechanism
 from labnnum.structures.modal import ModalStructure
 
 if TYPE_CHECKING:
@@ -84,15 +85,66 @@ def nonlinear_first(
         miss = max(engine.structure.error, LEAST)
         train, test = ([_missing(o, miss) for o in part] for part in (train, test))
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
-    found = answer(engine, train, test, places, scatter, limits, band, progress, usable, known, nearly)
-    if found is None or found.reason == UNCONFIRMED:
-        return None
+
+    def law(
+        on: Engine, *, known: Sequence[Lead] = (), doubted: int | None = None, whole: bool = True,
+        suspicious: bool = True,
+    ) -> NonlinearAnswer | None:  # fmt: skip
+        others = usable if whole else ()
+        return answer(
+            on, train, test, places, scatter, limits, band, progress, others, known, nearly, doubted, suspicious
+        )
+
+    faults: list[Fault] = []
+    of_channels: tuple[Named, ...] = ()
+
+    def beside(under: Beneath) -> NonlinearAnswer | None:
+        """What the law is with linear physics of the quietest level in the model, and faults of channels off."""
+        nonlocal train, test, usable
+        before = train, test, usable
+        train, test, usable = ([mended(o, under.faults) for o in part] for part in before)
+        on = under.engines[0]
+        parts = parts_of(engine, train, test, usable, band) if len(under.engines) > 1 else None
+        if parts is not None:
+            on = min(under.engines, key=lambda e: promised(e, parts, places, scatter, band))
+        made = law(on, suspicious=False)
+        train, test, usable = before
+        return made
+
+    def quiet_search() -> tuple[Diagnosis, Beneath | None]:
+        progress("searching for linear physics at the quietest level")
+        quiet = again(quietest_of(usable, train), depth=2)
+        return quiet, beneath(engine, quiet)
+
+    free = not isinstance(engine.structure, ModalStructure) and not known
+    parts = parts_of(engine, train, test, usable, band) if free else None
+    early = parts is not None and misled(engine, parts, scatter, band)
+    found: NonlinearAnswer | None = None
+    under: Beneath | None = None
+    second: NonlinearAnswer | None = None
+    if early:
+        quiet, under = quiet_search()
+        if under is not None:
+            second = beside(under)
+            if quiet.named and (second is None or second.reason == UNCONFIRMED):
+                return None  # with that in the model there is nothing nonlinear
+    if not better(second, NOISY):
+        found = law(engine, known=known)
+        if found is None or found.reason == UNCONFIRMED:
+            return None
+        if free and not early and not _explained(found):
+            under = quiet_search()[1]
+            second = beside(under) if under is not None else None
+    if under is not None and second is not None and (found is None or better(second, BETTER * found.misfit)):
+        found, faults, of_channels = second, under.faults, under.named
+        train, test, usable = ([mended(o, faults) for o in part] for part in (train, test, usable))
+    assert found is not None
     if found.reason == NOTHING and strained(found):
         progress("searching for linear physics that hides the law")
         rest = again(found.linearised, found.linearised_held_out, depth=1)
         wider = added_to(engine, rest)
         if wider is not None:
-            second = answer(wider, train, test, places, scatter, limits, band, progress, usable, known, nearly)
+            second = law(wider)
             if second is not None and second.named and second.misfit < found.misfit:
                 found = second
     if not found.named and found.reason != KNOWN and found.reason not in FOUND:
@@ -125,27 +177,44 @@ def nonlinear_first(
     own = sure and not (hid or nearly) and found.lying is None  # the search begins with what the law leaves
     spent = explained or (own and hopeless_beside(found, scatter, limits))
     kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
-    rest = again(found.linearised, found.linearised_held_out, **kind)
+    measured = [[mended(o, faults, back=True) for o in p] for p in (found.linearised, found.linearised_held_out)]
+    rest = again(*((found.linearised, found.linearised_held_out) if explained else measured), **kind)
     if explained and rest.verdict not in ("consistent", "parameters"):
-        rest = again(found.linearised, found.linearised_held_out)  # the law's errors excused what a channel has wrong
+        rest, of_channels = again(*measured), ()  # the law's errors excused what a channel has wrong
     periodic = all(o.run is not None for o in train)
     doubted = _doubted(rest, train) if periodic and found.lying is None and found.misfit > 1.5 else None
-    if doubted is not None:
+    if doubted is not None and not faults:
         progress("leaving out a channel that the law does not explain")
-        second = answer(engine, train, test, places, scatter, limits, band, progress, (), (), nearly, doubted)
+        second = law(engine, doubted=doubted, whole=False)
         if second is not None and second.named and second.misfit < 0.5 * found.misfit:
             found = second
             rest = again(found.linearised, found.linearised_held_out)
-    if periodic and any(n.place.kind == "channel" for n in rest.named):
-        train = [_mended(o, rest.named) for o in train]
-        test = [_mended(o, rest.named) for o in test]
-        second = answer(engine, train, test, places, scatter, limits, band, progress, (), (), nearly)
+    if periodic and not faults and any(n.place.kind == "channel" for n in rest.named):
+        wrong = [Fault(n.term, n.value) for n in rest.named if n.place.kind == "channel"]
+        train, test = ([mended(o, wrong) for o in part] for part in (train, test))
+        second = law(engine, whole=False)
         if second is not None and second.reason == UNCONFIRMED:
             return None  # the channel made the signs; what is left of them no law explains
         if second is not None and (second.misfit < found.misfit or (second.named and second.misfit < 1.5)):
             found = second
     signs = nonlinear_signs(observations)
-    return merged(found, rest, gate.named, signs, observations)
+    told = any(n.place.kind == "channel" for n in rest.named)
+    return merged(found, rest, gate.named, signs, observations, () if told or not found.named else of_channels)
+
+
+BETTER, NEARER = 0.8, 0.5
+"""Part of what a law leaves to which it must bring it where linear physics was put beside it; and the part of that
+which one without a name may leave."""
+
+
+def better(second: NonlinearAnswer | None, most: float) -> bool:
+    """Whether a law beside linear physics leaves less than `most` a value; one without a name, a part of that."""
+    return second is not None and second.gained and second.misfit < (most if second.named else NEARER * most)
+
+
+def _explained(found: NonlinearAnswer) -> bool:
+    """Whether a law is named that leaves nothing for anything else."""
+    return bool(found.named) and found.misfit < EXPLAINED and found.lying is None
 
 
 def _doubted(rest: Diagnosis, train: Sequence[Observation]) -> int | None:
@@ -166,14 +235,17 @@ EXPLAINED = 1.2
 
 
 def merged(
-    found: NonlinearAnswer, rest: Diagnosis, gated: Sequence[Named], signs: dict, observations: Sequence[Observation]
-) -> Diagnosis:
-    """One diagnosis: what the gates found, the nonlinear law, then what the linear search names beside it."""
+    found: NonlinearAnswer, rest: Diagnosis, gated: Sequence[Named], signs: dict, observations: Sequence[Observation],
+    before: Sequence[Named] = (),
+) -> Diagnosis:  # fmt: skip
+    """One diagnosis: what the gates found, the nonlinear law, what was named `before` it, then what the linear search
+    names beside it.
+    """
     beside = rest.named if found.named and rest.verdict in ("missing-physics", "measurement-fault") else ()
     if found.misfit > MISFIT:  # what a law leaves at its own place is its own
         own = {(n.place.id, n.place.to) for n in found.named}
         beside = tuple(n for n in beside if (n.place.id, n.place.to) not in own)
-    named = (*gated, *found.named, *beside)
+    named = (*gated, *found.named, *before, *beside)
     verdict = "missing-physics" if found.named else "unexplained"
     if not found.named and rest.verdict == "measurement-fault":
         verdict, named = "measurement-fault", (*gated, *rest.named)
@@ -191,36 +263,3 @@ def merged(
         extended_error=source.extended_error, nonlinear=nonlinear, detail=detail,
     )  # fmt: skip
     return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
-
-
-def _mended(o: Observation, named: Sequence[Named]) -> Observation:
-    """The observation with the named faults of channels taken off its spectra."""
-    assert o.run is not None
-    run = o.run
-    s = 2j * np.pi * run.frequency
-    names = [c.name for c in run.outputs]
-    u, y, noise = run.u.copy(), run.y.copy(), run.noise.copy()
-    h, variance = o.frf.value.copy(), None if o.frf.variance is None else o.frf.variance.copy()
-    sf = 2j * np.pi * o.frf.frequency
-    for n in named:
-        data = n.term.data
-        if "swap" in data:
-            a, b = data["swap"]
-            y[[a, b]], noise[[a, b]], h[[a, b]] = y[[b, a]], noise[[b, a]], h[[b, a]]
-            if variance is not None:
-                variance[[a, b]] = variance[[b, a]]
-        elif "invert" in data:
-            i = data["invert"]
-            if i < len(names):
-                y[i], h[i] = -y[i], -h[i]
-            else:
-                u, h = -u, -h
-        elif isinstance(n.term.mechanism, ChannelMechanism) and "channel" in data:
-            f = n.term.mechanism.factor(np.where(s == 0, s[1], s), n.value)
-            ff = n.term.mechanism.factor(sf, n.value)
-            i = data["channel"]
-            if i < len(names):
-                y[i], noise[i], h[i] = y[i] / f, noise[i] / np.abs(f) ** 2, h[i] / ff
-            else:
-                u, h = u / f, h * ff
-    return replace(o, run=replace(run, u=u, y=y, noise=noise), frf=replace(o.frf, value=h, variance=variance))

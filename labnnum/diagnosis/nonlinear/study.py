@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit, tried_fit
-from labnnum.diagnosis.nonlinear.explore import LINES, LONG, NOISY, Prospect, engine_start, nearest
+from labnnum.diagnosis.nonlinear.explore import LINES, LONG, NEAR, NOISY, Prospect, engine_start, nearest
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.laws import SHAPES
 from labnnum.diagnosis.nonlinear.leads import general_lead
@@ -163,6 +164,45 @@ def corners(study: Study, tried: Sequence[Tried], scatter: Scatter, poor: float)
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
     finer = bench.carry_on(best, LONG, last=True)
     return finer if finer.cost < best.cost else best
+
+
+BEGINNING, STRONGER = 6, 1.15
+"""Steps of a law's fits from the calm base, of which the best is carried on; and by how much it is raised there."""
+THOROUGH = 25
+"""Steps of such a fit at most."""
+UNSURE = 1.5
+"""Chi-square per value that a law leaves above which it is fitted anew."""
+
+
+def anew(study: Study, tried: Sequence[Tried], scatter: Scatter) -> Tried:
+    """The best law; where it leaves more than noise, fitted again from the base of the quietest level. On the way to a
+    strong law's parameters the base bends, and the law then holds it so: here the law is fitted first while the base is
+    held, and from the parameters that it has come to, and a little more of it.
+    """
+    best = tried[0]
+    level = best.made.data_part / best.made.count
+    quick = all(r.lasting for r in study.runs)
+    if not (quick and best.simulated and best.named and UNSURE < level < NOISY):
+        return best
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
+    calm, own = study.quiet.x, of_fit(best)
+    held = bench.law_alone(calm, own, LONG)
+    leads = [own, replace(own, p=_stronger(own)), *([] if held is None else [of_fit(held)])]
+    begun = [bench.again(calm, best, lead, BEGINNING) for lead in leads]
+    near = min((t for t in begun if t is not None), key=lambda t: t.cost, default=None)
+    if near is None or near.cost > NEAR * best.cost:
+        return best
+    made = bench.carry_on(near, THOROUGH, always=True, last=best.made.terms[0].last)
+    return made if made.cost < best.cost else best
+
+
+def _stronger(lead: Lead) -> NDArray[np.float64]:
+    """The lead's parameters with its strength, and the limit of a force, raised."""
+    p = lead.p.copy()
+    p[0] *= STRONGER
+    if SHAPES[lead.mechanism].law in ("stick-slip", "sliders"):
+        p[1] *= STRONGER
+    return p
 
 
 def _coarse(t: Tried) -> bool:

@@ -1,0 +1,94 @@
+"""Linear physics under a nonlinear law: what the quietest level shows is put right before the law is sought."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis import diagnose, observe_all
+from labnnum.diagnosis.nonlinear.mended import Fault, mended
+from labnnum.mechanisms.base import Place, Term
+from labnnum.mechanisms.channel_delay import ChannelDelay
+from labnnum.mechanisms.channel_gain import ChannelGain
+from labnnum.mechanisms.channel_highpass import ChannelHighpass
+from labnnum.mechanisms.channel_swap import ChannelSwap
+from labnnum.nonlinear import Element
+from labnnum.structures import Chain
+from labnnum.structures.chain import Link
+from tests.diagnosis.test_nonlinear import chain, joint_23, runs
+
+CUBIC = Element("cubic", joint_23(), (2e4,))
+
+
+def fault(mechanism, value=(), **data):
+    """A fault of a channel, and its parameters."""
+    return Fault(Term(mechanism, Place("channel", "a1"), (), np.zeros((0, 1)), data=data), np.array(value, float))
+
+
+FAULTS = {
+    "gain": fault(ChannelGain(), (0.3,), channel=0),
+    "delay": fault(ChannelDelay(), (0.01,), channel=1),
+    "high-pass": fault(ChannelHighpass(), (0.5,), channel=2),
+    "exchanged": fault(ChannelSwap(), (), swap=(0, 2)),
+    "inverted": fault(ChannelSwap(), (), invert=1),
+    "gain of the input": fault(ChannelGain(), (-0.2,), channel=3),
+    "inverted input": fault(ChannelSwap(), (), invert=3),
+}
+
+
+@pytest.mark.parametrize("which", FAULTS)
+def test_a_fault_that_is_put_on_and_taken_off_leaves_what_was(which):
+    plain = runs([], chain(), levels=(1.0,))[0]
+    wrong = mended(plain, [FAULTS[which]], back=True)
+    again = mended(wrong, [FAULTS[which]])
+    for made in (wrong, again):
+        change = np.linalg.norm(made.frf.value - plain.frf.value) / np.linalg.norm(plain.frf.value)
+        assert bool(change > 0.01) == (made is wrong)
+        change = np.linalg.norm(made.run.y * plain.run.u.max() - plain.run.y * made.run.u.max())
+        assert bool(change > 0.01 * np.linalg.norm(plain.run.y * plain.run.u.max())) == (made is wrong)
+    assert again.run.noise == pytest.approx(plain.run.noise, nan_ok=True)
+    assert again.frf.variance == pytest.approx(plain.frf.variance)
+
+
+@pytest.mark.parametrize("which", ["gain", "delay", "exchanged", "inverted", "gain of the input", "inverted input"])
+def test_samples_of_a_faulty_channel_are_mended_like_its_spectrum(which):
+    plain = runs([], chain(), levels=(1.0,))[0]
+    x = plain.recordings[0].data
+    wrong = mended(plain, [FAULTS[which]], back=True)
+    assert not np.allclose(wrong.recordings[0].data, x, atol=1e-3)
+    assert mended(wrong, [FAULTS[which]]).recordings[0].data == pytest.approx(x, abs=1e-4 * np.abs(x).max())
+    seen = observe_all([wrong.recordings[0]])[0]
+    assert seen.frf.value == pytest.approx(wrong.frf.value, abs=1e-3 * np.abs(wrong.frf.value).max())
+
+
+def exchanged(observation):
+    """The run with the first two responses at each other's input of the converter."""
+    order = [1, 0, 2]
+    run, frf = observation.run, observation.frf
+    return replace(
+        observation, run=replace(run, y=run.y[order], noise=run.noise[order]),
+        frf=replace(frf, value=frf.value[order], variance=frf.variance[order]),
+    )  # fmt: skip
+
+
+def test_channels_that_are_exchanged_do_not_hide_a_law():
+    found = diagnose(chain(), [exchanged(o) for o in runs([CUBIC], chain())])
+    assert [n.term.mechanism.id for n in found.named] == ["cubic-stiffness", "channel-swap"], found.summary
+    assert found.named[0].value == pytest.approx([2e4], rel=0.05)
+    assert str(found.named[1].place) == "channel a1-a2"
+
+
+def test_a_softer_joint_does_not_hide_a_law():
+    links = [Link("1", "ground", "k1", 4.0), Link("1", "2", 1000.0, 4.0), Link("2", "3", 1000.0, 4.0)]
+    softer = Chain(chain().masses, (*links, Link("3", "4", 600.0, 4.0)), chain().parameters)
+    found = diagnose(chain(), runs([Element("clearance", joint_23(), (500.0, 0.004))], softer))
+    named = {n.term.mechanism.id: n for n in found.named}
+    assert set(named) == {"clearance", "joint-stiffness"}, found.summary
+    assert named["clearance"].value == pytest.approx([500.0, 0.004], rel=0.1)
+    assert named["joint-stiffness"].value[0] == pytest.approx(-0.4, abs=0.03)
+
+
+def test_what_is_linear_at_every_level_gets_no_law():
+    """Exchanged channels alone: the signs are the converter's."""
+    found = diagnose(chain(), [exchanged(o) for o in runs([], chain())])
+    assert [n.term.mechanism.id for n in found.named] == ["channel-swap"], found.summary
