@@ -87,13 +87,13 @@ def beneath(engine: Engine, quiet: Diagnosis) -> Beneath | None:
 
 
 def misled(engine: Engine, parts: Split, scatter: Scatter, span: tuple[float, float]) -> bool:
-    """Whether the base leaves more than noise of the run that distorts least: it is a strong law's, or not linear
-    alone that is missing.
+    """Whether the base leaves more than noise of the run that distorts least, or explains it at too high a price: a
+    strong law is missing, or something linear.
     """
     runs = [o.run for o in parts.train if o.run is not None]
     i = quietest(runs)
     calm = calmed(engine, base_point(engine, parts.train[i], scatter, span), runs[i], scatter)
-    return calm.data_part > MISLED * calm.count
+    return calm.data_part > MISLED * calm.count or calm.prior_part > STRAINED * calm.n_base
 
 
 def quietest_of(usable: Sequence[Observation], train: Sequence[Observation]) -> list[Observation]:

@@ -36,7 +36,7 @@ def search(
     """
     progress("fitting nonlinear laws")
     bench = seen.bench
-    tried = simulated(bench, seen.near, suspicious=not unsure)
+    tried = simulated(bench, seen.near, None if unsure else seen.calm.x)
     tried = tried if unsure else with_rounded(bench, tried)
     if unsure and seen.leads:
         top = max(lead.gain for lead in seen.leads)
@@ -80,9 +80,11 @@ CLOSE = 1.5
 """Cost, of the least, below which a follow may turn out better when it is simulated."""
 
 
-def simulated(bench: Bench, near: Sequence[Tried], *, suspicious: bool = True) -> list[Tried]:
-    """The follows that came nearest fitted by simulation, then the others as they are; `suspicious` of coarse steps
-    where a simulation leaves too much.
+def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) -> list[Tried]:
+    """The follows that came nearest fitted by simulation, then the others as they are.
+
+    Where a simulation leaves too much, with finer steps too, and from the base of the quietest level, `calm` if given:
+    a law may bend the base along the motion, and a strong one holds it so.
     """
     out: list[Tried] = []
     best = np.inf
@@ -100,7 +102,10 @@ def simulated(bench: Bench, near: Sequence[Tried], *, suspicious: bool = True) -
         one = t if t.simulated else bench.simulate(t, LONG)
         if one is None:
             continue
-        if suspicious and _coarse(one) and again < FINELY and (t.simulated or t.cost < AGREES * one.cost):
+        if calm is not None and not t.simulated and _bent(bench, one):
+            other = bench.direct((calm,), of_fit(t), LONG, soften=False)
+            one = one if other is None or other.cost > one.cost else other
+        if calm is not None and _coarse(one) and again < FINELY and (t.simulated or t.cost < AGREES * one.cost):
             again += 1
             one = finely(bench, t, one)
         out.append(one)
@@ -166,7 +171,7 @@ def corners(study: Study, tried: Sequence[Tried], scatter: Scatter, poor: float)
     return finer if finer.cost < best.cost else best
 
 
-BEGINNING, STRONGER = 6, 1.15
+BEGINNING, STRONGER = 6, (1.15, 1.35)
 """Steps of a law's fits from the calm base, of which the best is carried on; and by how much it is raised there."""
 THOROUGH = 25
 """Steps of such a fit at most."""
@@ -175,33 +180,44 @@ UNSURE = 1.5
 
 
 def anew(study: Study, tried: Sequence[Tried], scatter: Scatter) -> Tried:
-    """The best law; where it leaves more than noise, fitted again from the base of the quietest level. On the way to a
-    strong law's parameters the base bends, and the law then holds it so: here the law is fitted first while the base is
-    held, and from the parameters that it has come to, and a little more of it.
-    """
+    """The best law; where it leaves more than noise, fitted again from the base of the quietest level."""
     best = tried[0]
-    level = best.made.data_part / best.made.count
-    quick = all(r.lasting for r in study.runs)
-    if not (quick and best.simulated and best.named and UNSURE < level < NOISY):
+    if not (best.simulated and best.named and best.made.data_part < NOISY * best.made.count):
         return best
-    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
-    calm, own = study.quiet.x, of_fit(best)
+    return from_calm(Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE), study.quiet.x, best)
+
+
+def _bent(bench: Bench, one: Tried) -> bool:
+    """Whether a simulated law leaves more than noise of periodic runs."""
+    return one.named and one.made.data_part > UNSURE * one.made.count and all(r.lasting for r in bench.runs)
+
+
+def from_calm(bench: Bench, calm: NDArray, one: Tried) -> Tried:
+    """A simulated law that leaves more than noise of periodic runs, fitted again from the base of the quietest level,
+    if that is better.
+
+    On the way to a strong law's parameters the base bends, and the law then holds it so: here the law is fitted first
+    while the base is held, and from the parameters that it has come to, and more of it.
+    """
+    if not _bent(bench, one):
+        return one
+    own = of_fit(one)
     held = bench.law_alone(calm, own, LONG)
-    leads = [own, replace(own, p=_stronger(own)), *([] if held is None else [of_fit(held)])]
-    begun = [bench.again(calm, best, lead, BEGINNING) for lead in leads]
+    leads = [own, *(replace(own, p=_stronger(own, by)) for by in STRONGER), *([] if held is None else [of_fit(held)])]
+    begun = [bench.again(calm, one, lead, BEGINNING) for lead in leads]
     near = min((t for t in begun if t is not None), key=lambda t: t.cost, default=None)
-    if near is None or near.cost > NEAR * best.cost:
-        return best
-    made = bench.carry_on(near, THOROUGH, always=True, last=best.made.terms[0].last)
-    return made if made.cost < best.cost else best
+    if near is None or near.cost > NEAR * one.cost:
+        return one
+    made = bench.carry_on(near, THOROUGH, always=True, last=one.made.terms[0].last)
+    return made if made.cost < one.cost else one
 
 
-def _stronger(lead: Lead) -> NDArray[np.float64]:
+def _stronger(lead: Lead, by: float) -> NDArray[np.float64]:
     """The lead's parameters with its strength, and the limit of a force, raised."""
     p = lead.p.copy()
-    p[0] *= STRONGER
+    p[0] *= by
     if SHAPES[lead.mechanism].law in ("stick-slip", "sliders"):
-        p[1] *= STRONGER
+        p[1] *= by
     return p
 
 
