@@ -107,7 +107,8 @@ def answer(
         if not tried:
             return None
         tried = [corners(found, tried, scatter, POOR), *tried[1:]]
-        tried[0] = anew(found, tried, scatter)
+        if not identified:  # the base of such a model is the quietest level's, and no law has bent it
+            tried[0] = anew(found, tried, scatter)
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
         two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None
         return two or (found, laws_of(found, every, train, test, scatter, limits, progress, identified))
