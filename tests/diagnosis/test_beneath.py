@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis import diagnose, observe_all
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.bench import Bench
+from labnnum.diagnosis.nonlinear.explore import calmed
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot
+from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
+from labnnum.diagnosis.nonlinear.study import from_calm
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.channel_delay import ChannelDelay
 from labnnum.mechanisms.channel_gain import ChannelGain
@@ -15,8 +22,9 @@ from labnnum.mechanisms.channel_swap import ChannelSwap
 from labnnum.nonlinear import Element
 from labnnum.structures import Chain
 from labnnum.structures.chain import Link
-from tests.diagnosis.test_nonlinear import chain, joint_23, runs
+from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs
 
+CLEARANCE = Element("clearance", joint_23(), (500.0, 0.004))
 CUBIC = Element("cubic", joint_23(), (2e4,))
 
 
@@ -81,7 +89,7 @@ def test_channels_that_are_exchanged_do_not_hide_a_law():
 def test_a_softer_joint_does_not_hide_a_law():
     links = [Link("1", "ground", "k1", 4.0), Link("1", "2", 1000.0, 4.0), Link("2", "3", 1000.0, 4.0)]
     softer = Chain(chain().masses, (*links, Link("3", "4", 600.0, 4.0)), chain().parameters)
-    found = diagnose(chain(), runs([Element("clearance", joint_23(), (500.0, 0.004))], softer))
+    found = diagnose(chain(), runs([CLEARANCE], softer))
     named = {n.term.mechanism.id: n for n in found.named}
     assert set(named) == {"clearance", "joint-stiffness"}, found.summary
     assert named["clearance"].value == pytest.approx([500.0, 0.004], rel=0.1)
@@ -92,3 +100,20 @@ def test_what_is_linear_at_every_level_gets_no_law():
     """Exchanged channels alone: the signs are the converter's."""
     found = diagnose(chain(), [exchanged(o) for o in runs([], chain())])
     assert [n.term.mechanism.id for n in found.named] == ["channel-swap"], found.summary
+
+
+def test_a_strong_law_that_bends_the_base_is_found_from_the_base_of_the_quietest_level():
+    """From half its stiffness and a bent base a clearance does not find back along the way it came."""
+    made = [o.run for o in runs([CLEARANCE], chain())]
+    engine = Engine(chain(), OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
+    bench = Bench(engine, engine.start(), tuple(made), Scatter(), ()).on(120)
+    calm = calmed(engine, engine.start(), made[0], Scatter())
+    p = np.zeros(N_P)
+    p[:2] = 250.0, 0.003
+    lead = Lead(Spot(Place("joint", "2", "3"), "x", joint_23()), "clearance", p, 0.0)
+    bent = calm.x.copy()
+    bent[0] *= 0.9
+    stuck = bench.direct([bent], lead, 4)
+    again = from_calm(bench, calm.x, stuck)
+    assert again.cost < 0.5 * stuck.cost
+    assert again.made.law(0)[0] == pytest.approx([500.0, 0.004], rel=0.1)

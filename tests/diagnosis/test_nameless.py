@@ -9,6 +9,7 @@ import pytest
 from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.gates import bent_channel, beyond, drifted
 from labnnum.diagnosis.nonlinear.decision import NAMELESS, _foretells
+from labnnum.diagnosis.nonlinear.further import acts
 from labnnum.diagnosis.nonlinear.laws import SHAPES, TERMS, force_along
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.moved import moved
@@ -174,3 +175,11 @@ def test_a_rail_is_where_all_loud_runs_end():
     assert not any(beyond(["", name, name, name, ""], louder))
     apart = [*runs[:3], _read(9, (1, 1, 1), 2.6)]
     assert not any(beyond(["", "", name, name], apart))
+
+
+def test_a_general_law_acts_by_any_of_its_terms_and_a_named_one_by_its_first():
+    """A law of z^3 alone begins with zeros; a clearance of no stiffness does nothing, whatever its gap."""
+    terms = [SimpleNamespace(mechanism=m) for m in ("general", "general", "clearance", "clearance")]
+    p = [np.array([0.0, 0.0, 3.0]), np.zeros(3), np.array([0.0, 0.1]), np.array([5.0, 0.0])]
+    made = SimpleNamespace(terms=terms, law=lambda i: (p[i], None))
+    assert [acts(made, i) for i in range(4)] == [True, False, False, True]

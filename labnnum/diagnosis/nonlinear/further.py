@@ -119,7 +119,7 @@ def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, 
         except (EstimationError, np.linalg.LinAlgError):
             return None
 
-    kept = [i for i in range(len(laws)) if _acts(laws[-1].made, i)]
+    kept = [i for i in range(len(laws)) if acts(laws[-1].made, i)]
     last = laws[-1]
     whole = fitted(last, kept) if kept else None
     if whole is None:
@@ -156,7 +156,7 @@ def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, 
     return out
 
 
-def _acts(made: Made, i: int) -> bool:
+def acts(made: Made, i: int) -> bool:
     """Whether the i-th law has any strength; of the general law any term may hold it."""
     p = made.law(i)[0]
     return bool(np.any(p != 0.0)) if made.terms[i].mechanism == "general" else p[0] != 0.0
