@@ -214,6 +214,7 @@ def select(
             for c in [*found, *laws]:
                 place = c.last.place
                 gains[place] = max(gains.get(place, 0.0), base.objective - c.cost)
+        found = [c for c in found if not (stage and slight(c, task))]
         best = simplest(found, limits) if found else chain[-1]
         excess = max(dispersion(best.fit, data), 1.0)
         gain = (chain[-1].cost - best.cost) / excess
@@ -303,6 +304,23 @@ def still_open(terms: Sequence[Term], held: Sequence[Term]) -> list[Term]:
     """Terms that may still join: what a support has let go cannot be let go again."""
     gone = {t.place for t in held if isinstance(t.whole, Freed)}
     return [t for t in terms if not (isinstance(t.fitted.whole, Freed) and t.place in gone)]
+
+
+SLIGHT = 3.0
+"""Standard deviations of what sound parts differ by, within which a further one that does is no fault."""
+
+
+def slight(c: Candidate, task: Task) -> bool:
+    """Whether the last term is an element or a mass that differs by no more than those of sound structures do."""
+    last, sound = c.last, task.wide
+    p = c.fit.point.terms[c.fit.point.terms.size - last.n :]
+    if last.parameters and last.parameters[0].name == "relative_change":
+        return abs(p[0]) < SLIGHT * sound.stiffness
+    if last.mechanism.id != "added-mass" or not last.sought.groups:
+        return False
+    moved = last.sought.groups[0].columns
+    own = np.einsum("nk,nm,mk->k", moved, np.real(task.engine.structure.matrices(task.engine.theta0).M), moved)
+    return abs(p[0]) < SLIGHT * sound.mass * own.min(initial=np.inf)
 
 
 def finished(task: Task, terms: Sequence[Term], last: Candidate) -> bool:

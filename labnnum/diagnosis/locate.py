@@ -71,6 +71,42 @@ def recover(engine: Engine, data: Data, point: Point, term: Term) -> Recovered:
     return best
 
 
+ROUGHLY = 0.03
+"""Relative error of a model whose ordinary errors are not fitted, in the forces that are recovered with it."""
+
+
+def imitated(engine: Engine, data: Data, point: Point, law: Term) -> tuple[float, NDArray[np.float64]]:
+    """How closely a law that is linear in its parameters can do what data minus model at `point` asks for at its place,
+    as a share of the whitened residual, and the parameters with which it does.
+
+    Forces are recovered line by line, the motion that they leave follows, and the parameters from both by least
+    squares: with force and motion known a law of any size is linear.
+    """
+    one = Evaluation(engine, replace(point, terms=np.zeros(law.n)), [law], data.s)
+    x, h, z, g = one.ingredients(law.width)
+    lift = one._lift()
+    weight = 1.0 / np.hypot(data.sigma, ROUGHLY * np.abs(data.value))
+    r = np.moveaxis((data.value - x * lift) * weight, 2, 0)  # (f, o, i)
+    a = np.transpose(h[:, :, None] * (lift * weight)[:, None], (3, 2, 0, 1))  # (f, i, o, k)
+    y = np.swapaxes(r, 1, 2)[..., None]
+    turned = np.conj(np.swapaxes(a, 2, 3))
+    gram = turned @ a
+    ridge = 1e-9 * np.trace(gram, axis1=2, axis2=3)[..., None, None] * np.eye(law.width) + 1e-300 * np.eye(law.width)
+    force = np.linalg.solve(gram + ridge, turned @ y)
+    motion = np.transpose(z, (2, 1, 0))[..., None] + np.moveaxis(g, 2, 0)[:, None] @ force  # (f, i, k, 1)
+    slopes = law.stiffness_derivative(data.s, np.zeros(law.n))  # (n, k, k, f)
+    push = -np.einsum("nkjf,fij->fikn", slopes, motion[..., 0])
+    columns = (a @ push).reshape(-1, law.n)
+    wanted = (a @ force).reshape(-1)
+    columns, wanted = np.vstack([columns.real, columns.imag]), np.concatenate([wanted.real, wanted.imag])
+    size = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-300)
+    p = np.linalg.lstsq(columns / size, wanted, rcond=1e-4)[0] / size
+    total = float(np.sum(np.abs(r) ** 2))
+    left = total - float(np.sum(wanted**2) - np.sum((wanted - columns @ p) ** 2))
+    low, high = [q.lower for q in law.parameters], [q.upper for q in law.parameters]
+    return (1.0 - left / total if total > 0 else 0.0), np.clip(p, low, high)
+
+
 def channel_shares(data: Data, value: NDArray, names: list[str]) -> dict[Place, float]:
     """Share of the whitened residual that stands on each response channel alone."""
     w = np.abs(data.value - value) ** 2 / data.sigma**2

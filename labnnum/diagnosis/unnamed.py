@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labnnum.diagnosis.locate import imitated
 from labnnum.diagnosis.race import Entry, Race, no_peak, one_each, stage_of
 from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.search import Lead, grid_score, subspace_score
@@ -20,17 +21,42 @@ def unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candida
     plain = replace(task, counts={})
     single, pairs = ([t for t in general if t.width == k] for k in (1, 2))
     found = stage_of(plain, single, base, 4)[:2]
+    if not settled(named.fit, task.data, task.limits):
+        found += _imitated(plain, single, base)
     found += _loosened(plain, [t for t in general if t.width == 0], base)
 
-    def enough() -> bool:
-        best = min([*found, named], key=lambda c: c.cost)
+    def enough(*, places: bool = False) -> bool:
+        """Whether one of them explains all; of what acts at `places` only, since a channel may excuse anything."""
+        some = [c for c in (*found, named) if c.last.groups or not places]
+        best = min(some, key=lambda c: c.cost, default=base)
         return settled(best.fit, task.data, task.limits) or idle(task, base, best, task.data)
 
     if not enough():
         found += _surveyed(plain, single, base, 2)
-    if pairs and not enough():
-        found += [*_surveyed(plain, pairs, base), *stage_of(plain, pairs, base, 4)[:2]]
+    if pairs and not enough(places=True):
+        found += [*_imitated(plain, pairs, base), *_surveyed(plain, pairs, base), *stage_of(plain, pairs, base, 4)[:2]]
     return sorted(found, key=lambda c: c.cost)
+
+
+def _imitated(task: Task, laws: Sequence[Term], base: Candidate, each: int = 2, n: int = 2) -> list[Candidate]:
+    """Laws fitted from the dynamic stiffness that the data show line by line at their places (`locate.imitated`).
+
+    Nothing is assumed of its size on the way: an inerter that turns a joint's stiffness round within the band is out of
+    reach from any small start.
+    """
+    if base.terms:
+        return []
+    nominal = afresh(task.engine, base)
+    fresh = replace(base, fit=replace(base.fit, point=nominal))
+    race, entries = Race(task, base), []
+    for rung, origin in ((0, fresh), (1, fresh), (1, base)):
+        level = task.ladder[rung]
+        shown = [(*imitated(task.engine, level, origin.fit.point, t), t) for t in laws]
+        shown.sort(key=lambda x: -x[0])
+        entries += [Entry(Lead(t, p, share), rung, origin) for share, p, t in shown[:each]]
+    race.run(entries)
+    ahead = among(race.found, ())[:n]
+    return sorted((task.priced(c.terms, task.refined(c.fit)) for c in ahead), key=lambda c: c.cost)
 
 
 def _surveyed(task: Task, laws: Sequence[Term], base: Candidate, each: int = 3, n: int = 2) -> list[Candidate]:
