@@ -31,6 +31,7 @@ from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
+from labnnum.mechanisms import CATALOGUE
 from labnnum.structures.modal import ModalStructure
 
 if TYPE_CHECKING:
@@ -175,11 +176,15 @@ def nonlinear_first(
     near = found.misfit < MISFIT and found.lying is None
     hid = found.study.engine is not engine  # one mechanism kept the law from being named: that one is sought
     own = sure and not (hid or nearly) and found.lying is None  # the search begins with what the law leaves
-    spent = explained or (own and hopeless_beside(found, scatter, limits))
+    spent = not explained and own and hopeless_beside(found, scatter, limits)
     kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
+    if (
+        explained
+    ):  # a law and the errors of a sound model may excuse what a channel has wrong, which costs no more to ask
+        kind = {"beside": True, "catalogue": CHANNELS}
     measured = [[mended(o, faults, back=True) for o in p] for p in (found.linearised, found.linearised_held_out)]
     rest = again(*((found.linearised, found.linearised_held_out) if explained else measured), **kind)
-    if explained and rest.verdict not in ("consistent", "parameters"):
+    if explained and not rest.named and rest.verdict not in ("consistent", "parameters"):
         rest, of_channels = again(*measured), ()  # the law's errors excused what a channel has wrong
     periodic = all(o.run is not None for o in train)
     doubted = _doubted(rest, train) if periodic and found.lying is None and found.misfit > 1.5 else None
@@ -195,13 +200,16 @@ def nonlinear_first(
         second = law(engine, whole=False)
         if second is not None and second.reason == UNCONFIRMED:
             return None  # the channel made the signs; what is left of them no law explains
-        if second is not None and (second.misfit < found.misfit or (second.named and second.misfit < 1.5)):
+        less = second is not None and second.misfit < found.misfit and (bool(second.named) or not found.named)
+        if second is not None and (less or (second.named and second.misfit < 1.5)):
             found = second
     signs = nonlinear_signs(observations)
     told = any(n.place.kind == "channel" for n in rest.named)
     return merged(found, rest, gate.named, signs, observations, () if told or not found.named else of_channels)
 
 
+CHANNELS = tuple(m for m in CATALOGUE if m.domain == "channel")
+"""Mechanisms that are asked for where a law leaves nothing."""
 BETTER, NEARER = 0.8, 0.5
 """Part of what a law leaves to which it must bring it where linear physics was put beside it; and the part of that
 which one without a name may leave."""
