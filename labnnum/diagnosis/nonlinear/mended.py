@@ -128,12 +128,12 @@ def _samples(r: Recording, names: Sequence[str], fault: Fault, back: bool) -> Re
     x = r.data.copy()
     data = fault.term.data
     if "swap" in data:
-        a, b = (at[names[i]] for i in data["swap"])
+        a, b = (at[names[int(i)]] for i in data["swap"])
         x[[a, b]] = x[[b, a]]
     elif "invert" in data:
-        x[at[names[data["invert"]]]] *= -1
+        x[at[names[int(data["invert"])]]] *= -1
     elif fault.changes:
-        i = at[names[data["channel"]]]
+        i = at[names[int(data["channel"])]]
         s = 2j * np.pi * np.fft.rfftfreq(x.shape[1], 1 / r.rate)
         x[i] = np.fft.irfft(np.fft.rfft(x[i]) * fault.factor(s, back), x.shape[1])
     return replace(r, data=x)
