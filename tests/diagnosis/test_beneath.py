@@ -117,3 +117,12 @@ def test_a_strong_law_that_bends_the_base_is_found_from_the_base_of_the_quietest
     again = from_calm(bench, calm.x, stuck)
     assert again.cost < 0.5 * stuck.cost
     assert again.made.law(0)[0] == pytest.approx([500.0, 0.004], rel=0.1)
+
+
+def test_a_gain_that_the_errors_of_a_sound_model_excuse_is_named_beside_the_law():
+    """A channel a sixth too low: the law is explained all the same."""
+    low = fault(ChannelGain(), (-0.16,), channel=1)
+    found = diagnose(chain(), [mended(o, [low], back=True) for o in runs([CUBIC], chain())])
+    assert [n.term.mechanism.id for n in found.named] == ["cubic-stiffness", "channel-gain"], found.summary
+    assert str(found.named[1].place) == "channel a2"
+    assert found.named[1].value[0] == pytest.approx(-0.16, abs=0.03)
