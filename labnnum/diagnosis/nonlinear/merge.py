@@ -136,7 +136,7 @@ def nonlinear_first(
         if free and not early and not _explained(found):
             under = quiet_search()[1]
             second = beside(under) if under is not None else None
-    if under is not None and second is not None and (found is None or better(second, BETTER * found.misfit)):
+    if under is not None and second is not None and (found is None or _instead(second, found)):
         found, faults, of_channels = second, under.faults, under.named
         train, test, usable = ([mended(o, faults) for o in part] for part in (train, test, usable))
     assert found is not None
@@ -218,6 +218,11 @@ which one without a name may leave."""
 def better(second: NonlinearAnswer | None, most: float) -> bool:
     """Whether a law beside linear physics leaves less than `most` a value; one without a name, a part of that."""
     return second is not None and second.gained and second.misfit < (most if second.named else NEARER * most)
+
+
+def _instead(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
+    """Whether a law beside linear physics takes the place of one without; none without a name of one that has one."""
+    return bool(second.named or not found.named) and better(second, BETTER * found.misfit)
 
 
 def _explained(found: NonlinearAnswer) -> bool:
