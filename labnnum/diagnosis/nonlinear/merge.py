@@ -178,9 +178,7 @@ def nonlinear_first(
     own = sure and not (hid or nearly) and found.lying is None  # the search begins with what the law leaves
     spent = not explained and own and hopeless_beside(found, scatter, limits)
     kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
-    if (
-        explained
-    ):  # a law and the errors of a sound model may excuse what a channel has wrong, which costs no more to ask
+    if explained:  # a law and the errors of a sound model may excuse a channel's fault
         kind = {"beside": True, "catalogue": CHANNELS}
     measured = [[mended(o, faults, back=True) for o in p] for p in (found.linearised, found.linearised_held_out)]
     rest = again(*((found.linearised, found.linearised_held_out) if explained else measured), **kind)
