@@ -65,7 +65,10 @@ def _observed(element, levels):
 
 
 def _bench(element, levels):
-    observations = _observed(element, levels)
+    return bench_of(_observed(element, levels))
+
+
+def bench_of(observations):
     structure, band = chain(), (0.5, 12.0)
     engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * band[0], 2 * np.pi * band[1]))
     made = [o.run for o in observations if o.run is not None]

@@ -34,7 +34,7 @@ def answer(
     engine: Engine, train: Sequence[Observation], test: Sequence[Observation], places: Places, scatter: Scatter,
     limits: Limits, span: tuple[float, float], progress: Callable[[str], None] = lambda text: None,
     others: Sequence[Observation] = (), known: Sequence[Lead] = (), nearly: float = 0.0, doubted: int | None = None,
-    suspicious: bool = True,
+    suspicious: bool = True, strong: bool | None = None,
 ) -> NonlinearAnswer | None:  # fmt: skip
     """What nonlinear physics the observations show; None where they show none.
 
@@ -56,6 +56,8 @@ def answer(
         Number of a response of periodic runs that is left out.
     suspicious : bool
         Whether responses are left out one after the other where a law leaves too much.
+    strong : bool, optional
+        Whether laws that are strong at the lowest level too are looked for only, or not again.
     """
     identified = isinstance(engine.structure, ModalStructure)
     parts = parts_of(engine, train, test, others, span)
@@ -91,7 +93,9 @@ def answer(
             unnamed=not identified,
         )
 
-    seen = explore(engine, point, runs, i, every, scatter, unnamed=not identified, progress=progress)
+    seen = explore(engine, point, runs, i, every, scatter, unnamed=not identified, strong=strong, progress=progress)
+    if seen is None and strong:
+        return None
     if seen is not None and doubted is None and not nearly and seen.idle:
         return None
     if seen is not None and doubted is None and seen.nameless:

@@ -18,7 +18,7 @@ from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
-from labnnum.errors import EstimationError
+from labnnum.errors import EstimationError, ModelError
 from labnnum.mechanisms.base import Place
 
 
@@ -172,7 +172,7 @@ def tried_fit(
     """The fit of `joint` from `x` as a candidate; None where no steady state is found."""
     try:
         made = fit(joint, x, orbits, steps=steps, always=always, exact=exact)
-    except (EstimationError, np.linalg.LinAlgError):
+    except (EstimationError, ModelError, np.linalg.LinAlgError):
         return None
     price = sum(cost(made, one.mechanism) - made.objective for one in more)
     return Tried(lead, made, cost(made, lead.mechanism) + price, simulated, tuple(more))

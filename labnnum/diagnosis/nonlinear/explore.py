@@ -18,6 +18,7 @@ from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import spread_lead, stuck
+from labnnum.diagnosis.nonlinear.tempered import STRONG, contest
 from labnnum.diagnosis.scatter import Scatter
 
 LAWS = (
@@ -81,7 +82,7 @@ class Prospect:
 
 def explore(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
-    *, lines: int = LINES, carry_on: bool = True, unnamed: bool = True,
+    *, lines: int = LINES, carry_on: bool = True, unnamed: bool = True, strong: bool | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Prospect | None:  # fmt: skip
     """Fit the base, locate, regress, and follow the leads along the recovered motion.
@@ -97,6 +98,8 @@ def explore(
         Whether all that came near after a few steps is followed to the end, or the nearest two only.
     unnamed : bool
         Whether smooth laws of one term that have no name compete with the named ones.
+    strong : bool, optional
+        Whether a law that is strong at the lowest level too is looked for only, or not again; else before others.
     """
     bench = Bench(engine, point, tuple(runs), scatter, ()).on(lines)
     calm = calmed(engine, point, runs[quiet], scatter, lines)
@@ -112,9 +115,12 @@ def explore(
         found, leads = looked(plain, x, spots, unnamed)
         near: list[Tried] = []
         if misled and carry_on and x is nominal:
-            near = [*held(bench, nominal, found), *stuck(bench, quiet, found, HELD, LONG)]
-            near.sort(key=lambda t: t.cost)
+            near = contest(bench, nominal, found, STRONG, leads, progress) if strong is not False else []
+            if not strong and (not near or near[0].made.data_part > LEAVES * base.data_part):
+                near = sorted([*near, *stuck(bench, quiet, found, HELD, LONG)], key=lambda t: t.cost)
         dry = bool(near) and near[0].made.data_part < LEAVES * base.data_part
+        if strong and not dry:
+            return None
         if dry:
             leads = [lead for lead in leads if lead.spot.place == near[0].spot.place]
             begin = [near[0].made.x[: near[0].made.n_base]]
@@ -146,28 +152,9 @@ MISLED = 5.0
 """Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
 
 
-HELD, SATURATED, LEAVES = 2, 0.5, 0.1
-"""Places at which dry friction is simulated at once, because it may hold there most of the time; the growth of the
-force with level, of the level's own, below which it may be such a force; and the part of what the base leaves that such
-friction may leave for nothing else to be looked for elsewhere."""
-
-
-def held(bench: Bench, nominal: NDArray, found: Sequence[Recovered]) -> list[Tried]:
-    """Dry friction, simulated from the nominal model, where a force explains most of the distortion; best first.
-
-    What sticks at all levels but the highest shows no motion to follow a law along, and a base that was fitted there is
-    that of another structure. The force there shows its limit: it hardly grows with level.
-    """
-    low, high = (f([r.level for r in bench.runs]) for f in (np.argmin, np.argmax))
-    grown = bench.runs[high].level / bench.runs[low].level
-    made = []
-    for q in sorted(found, key=lambda q: -q.share):
-        size = [float(np.sqrt(np.mean(f**2))) for f in q.f]
-        if len(made) < HELD and size[high] < SATURATED * grown * size[low]:
-            p = np.zeros(N_P)
-            p[0] = max(size)
-            made.append(bench.direct((nominal,), Lead(q.spot, "coulomb-friction", p, q.gain), LONG))
-    return sorted((t for t in made if t is not None), key=lambda t: t.cost)
+HELD, LEAVES = 2, 0.1
+"""Places at which sliders that stick at the quietest level are looked for; and the part of what the base leaves that a
+strong law may leave for nothing else to be looked for elsewhere."""
 
 
 def looked(

@@ -89,11 +89,11 @@ def nonlinear_first(
 
     def law(
         on: Engine, *, known: Sequence[Lead] = (), doubted: int | None = None, whole: bool = True,
-        suspicious: bool = True,
+        suspicious: bool = True, strong: bool | None = None,
     ) -> NonlinearAnswer | None:  # fmt: skip
         others = usable if whole else ()
         return answer(
-            on, train, test, places, scatter, limits, band, progress, others, known, nearly, doubted, suspicious
+            on, train, test, places, scatter, limits, band, progress, others, known, nearly, doubted, suspicious, strong
         )
 
     faults: list[Fault] = []
@@ -124,13 +124,18 @@ def nonlinear_first(
     under: Beneath | None = None
     second: NonlinearAnswer | None = None
     if early:
+        found = law(engine, suspicious=False, strong=True)
+    sure = found is not None and _clear(found)
+    if early and not sure:
         quiet, under = quiet_search()
         if under is not None:
             second = beside(under)
             if quiet.named and (second is None or second.reason == UNCONFIRMED):
                 return None  # with that in the model there is nothing nonlinear
-    if not better(second, NOISY):
-        found = law(engine, known=known)
+    if not (sure or better(second, NOISY)):
+        whole = law(engine, known=known, strong=False if early else None)
+        if found is None or (whole is not None and whole.misfit < found.misfit):
+            found = whole
         if found is None or found.reason == UNCONFIRMED:
             return None
         if free and not early and not _explained(found):
@@ -221,6 +226,16 @@ def better(second: NonlinearAnswer | None, most: float) -> bool:
 def _instead(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
     """Whether a law beside linear physics takes the place of one without; none without a name of one that has one."""
     return bool(second.named or not found.named) and better(second, BETTER * found.misfit)
+
+
+CLEAR = 0.01
+"""Part of what the base leaves below which a strong law was found, though it leaves more than noise."""
+
+
+def _clear(found: NonlinearAnswer) -> bool:
+    """Whether a strong law was found, which the quietest level can tell nothing about."""
+    base = found.study.base.data_part / found.study.base.count
+    return bool(found.named) and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
 
 
 def _explained(found: NonlinearAnswer) -> bool:

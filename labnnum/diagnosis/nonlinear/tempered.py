@@ -1,0 +1,199 @@
+"""Strong laws fitted from far away: first with a wide tolerance on every line, then with narrower ones.
+
+A law that holds or pushes hard changes the structure so much that the base model fitted without it is another one's,
+and a motion recovered through that base is nobody's. From the nominal model a simulated law could come to the truth,
+but peaks that stand a little beside each other leave hundreds of times the noise, and a descent ends wherever it may
+flatten them. With a tolerance of a third of the response around a line only the law's size counts; from there each
+narrower tolerance begins near its own best (continuation in the scale of the errors: Blake and Zisserman 1987,
+graduated non-convexity).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.fitting import fit
+from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
+from labnnum.diagnosis.nonlinear.lines import NEAR, Lines
+from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
+from labnnum.diagnosis.nonlinear.problem import KINKED, reduced
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.mechanisms.base import Place
+
+LADDER = (0.3, 0.1, 0.03, 0.01)
+"""Tolerances, relative to the response around a line, from the widest on."""
+UNFIT = 1.0
+"""Chi-square per value that the base alone leaves with the widest tolerance that is asked for."""
+BRIEF, STEPS, LAST = 3, 6, 12
+"""Steps of the first fit of a law, of one with a tolerance, and of the one without."""
+SETTLED = 20
+"""Steps at most of the fits with the widest tolerance: from there on a law must not be far off."""
+SIZES = (0.1, 0.4, 1.6), (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+"""Strengths that are looked at, of laws with a gap or slip and of others: the force along the motion that the nominal
+model recovers, of the one recovered."""
+CORNERS = FRACTIONS[[0, 2, 4]]
+"""Gaps and slip motions that are looked at, of the largest motion."""
+STRONG = ("coulomb-friction", "stick-slip", "one-sided-gap")
+"""Laws that act at the lowest level as they do at others: what holds, and what stands at its stop."""
+SPOTS, ALIKE = 4, 0.9
+"""Spots, by the share of the distortion that a force there explains, at which laws are looked at; and the part of the
+first one's share that another must have."""
+BEGUN, CARRIED, ENDED = 8, 4, 2
+"""Laws that are fitted with the widest tolerance, with the next, and to the end, at most."""
+FAR = 3.0
+"""Cost, of the least, above which a law is not carried on."""
+CLEAR = 0.2
+"""Part of what the base alone leaves with the widest tolerance below which a law is the one: others are then fitted at
+its place only."""
+HOPEFUL = 0.7
+"""Part of that above which no law is."""
+
+
+def slackened(bench: Bench, slack: float) -> Bench:
+    """The bench with a tolerance of `slack` of the response around each line."""
+    pairs = zip(bench.runs, bench.lines, strict=True)
+    return replace(bench, lines=tuple(_slackened(run, lines, slack) for run, lines in pairs))
+
+
+def _slackened(run: Run, lines: Lines, slack: float) -> Lines:
+    """Lines with the tolerance; those that are not excited have the part of it that their own response asks for, and
+    of the widest as much as the excited ones, since a law of another size distorts otherwise.
+    """
+    power = np.abs(run.seen(run.y)) ** 2
+    near = max(NEAR, int(2 * slack * np.median(lines.at)))
+    around = uniform_filter1d(power, near, axis=1, mode="nearest")
+    quiet = np.flatnonzero(run.quiet)
+    if quiet.size:
+        own = uniform_filter1d(power[:, quiet], max(NEAR, near * quiet.size // run.u.size), axis=1, mode="nearest")
+        around[:, quiet] = np.maximum(own, (slack / LADDER[0]) ** 2 * around[:, quiet])
+    return Lines(lines.at, np.hypot(lines.sigma, slack * np.sqrt(around[:, lines.at])), lines.windowed)
+
+
+def contest(
+    bench: Bench, x: NDArray, found: Sequence[Recovered], laws: Sequence[str], leads: Sequence[Lead] = (),
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Tried]:  # fmt: skip
+    """Laws at the spots whose force explains most of the distortion, fitted from far away; best first.
+
+    Parameters
+    ----------
+    x : ndarray
+        Vector of the nominal base.
+    found : sequence of Recovered
+        Forces and motions that the nominal base shows.
+    laws : sequence of str
+        Mechanisms that are looked at.
+    leads : sequence of Lead
+        What the recovered motion promises; those at the spots are looked at too.
+    """
+    plain = bench.joint([])
+    ladder = LADDER
+    while ladder:
+        alone = fit(slackened(bench, ladder[0]).joint([]), plain.start(x), [None] * len(bench.runs), steps=STEPS)
+        if alone.data_part > UNFIT * alone.count:
+            break
+        ladder = ladder[1:]
+    else:
+        return []
+    progress("simulating strong laws")
+    wide = slackened(bench, ladder[0])
+    begun: list[Tried] = []
+    place: Place | None = None
+    for lead in _promising(bench, x, found, laws, leads, ladder[0]):
+        if len(begun) == BEGUN:
+            break
+        if place is None or lead.spot.place == place:
+            one = wide.direct((x,), lead, BRIEF, soften=False)
+            least = min((t.cost for t in begun), default=np.inf)
+            if one is not None and one.cost < FAR * least:
+                one = wide.carry_on(one, STEPS, last=False)
+            begun += [one] if one is not None else []
+            if one is not None and one.made.data_part < CLEAR * alone.data_part:
+                place = lead.spot.place
+    near = [wide.carry_on(t, SETTLED, last=False) for t in _near(begun, CARRIED)]
+    if not near or near[0].cost > HOPEFUL * alone.objective:
+        return []
+    for slack in (*ladder[1:], 0.0):
+        on = slackened(bench, slack) if slack else bench
+        steps = STEPS if slack else LAST
+        near = _near(
+            [on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH) for t in near], CARRIED if slack else ENDED
+        )
+    return near
+
+
+def _promising(
+    bench: Bench, x: NDArray, found: Sequence[Recovered], laws: Sequence[str], leads: Sequence[Lead], slack: float
+) -> list[Lead]:
+    """Every law at the foremost spots with the strength that leaves least of the loudest run, the base as it is; those
+    that leave least first.
+    """
+    by_share = sorted(found, key=lambda q: -q.share)[:SPOTS]
+    high = int(np.argmax([r.level for r in bench.runs]))
+    loud = slackened(replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],)), slack)
+    out: list[tuple[float, Lead]] = []
+    for q in by_share:
+        if q.share < ALIKE * by_share[0].share:
+            continue
+        own = [lead for lead in leads if np.array_equal(np.abs(lead.spot.column), np.abs(q.spot.column))]
+        for law in laws:
+            some = [*_sizes(bench, q, law, high), *(lead for lead in own if lead.mechanism == law)]
+            looked = [(_left(loud, x, lead), lead) for lead in some]
+            out += sorted((p for p in looked if np.isfinite(p[0])), key=lambda pair: pair[0])[:1]
+    return [lead for _, lead in sorted(out, key=lambda pair: pair[0])]
+
+
+ROUGH = 0.2
+"""Tolerance below which laws with jumps or corners are simulated with fine steps: what coarse ones have wrong would
+bend the base."""
+
+
+def _sharp(t: Tried) -> bool:
+    """Whether a law's force jumps or has corners."""
+    return t.mechanism == "coulomb-friction" or SHAPES[t.mechanism].law in KINKED
+
+
+def _near(tried: list[Tried], most: int) -> list[Tried]:
+    """The best, as far as they are near the first."""
+    tried = sorted(tried, key=lambda t: t.cost)
+    return [t for t in tried[:most] if t.cost < FAR * tried[0].cost]
+
+
+def _left(bench: Bench, x: NDArray, lead: Lead) -> float:
+    """Objective of a law as it stands, over the bench's runs; infinite where no steady state is found."""
+    joint = bench.joint([lead])
+    start = joint.start(x)
+    with np.errstate(all="ignore"):  # a law that pushes may go beyond all numbers
+        orbits = joint.settle(start, [None] * len(bench.runs), 8)
+        if any(o is None or not np.isfinite(o.closing) for o in orbits):
+            return np.inf
+        return reduced(*joint.parts(start, orbits))[0]
+
+
+def _sizes(bench: Bench, q: Recovered, law: str, high: int) -> list[Lead]:
+    """A law with the strengths that are looked at, its gap or slip at each of some parts of the motion."""
+    shape = SHAPES[law]
+    z, v = q.z[high], q.v[high]
+    force = float(np.sqrt(np.mean(q.f[high] ** 2)))
+    sides = (1.0, -1.0) if law in ("one-sided-gap", "cubic-stiffness", "quadratic-stiffness") else (1.0,)
+    units = [u for u in candidates(shape, q.top) if not shape.inner or np.isclose(u[1] / q.top, CORNERS).any()]
+    out = []
+    for unit in units:
+        for side in sides:
+            turned = side if law == "one-sided-gap" else 1.0
+            along = force_along(shape, turned * z, turned * v, unit, around=bench.runs[high].lasting)
+            rms = float(np.sqrt(np.mean(along**2)))
+            spot = Spot(q.spot.place, "-" + q.spot.axis, q.spot.column) if turned < 0 else q.spot
+            for size in SIZES[0 if shape.inner else 1] if rms > 0 else ():
+                p = unit.copy()
+                p[0] = side * turned * size * force / rms
+                if shape.law == "stick-slip":
+                    p[1] = p[0] * unit[1]
+                out.append(Lead(spot, law, p, q.gain))
+    return out
