@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.nonlinear.bench import of_fit
-from labnnum.diagnosis.nonlinear.explore import calmed, engine_start, looked
-from labnnum.diagnosis.nonlinear.tempered import STRONG, contest, slackened
+from labnnum.diagnosis.nonlinear.explore import LAWS, calmed, engine_start, looked
+from labnnum.diagnosis.nonlinear.tempered import contest, slackened
 from labnnum.diagnosis.observe import observe_all
 from labnnum.nonlinear import Element
 from labnnum.recording import Recording
@@ -56,7 +56,7 @@ def test_friction_that_holds_is_found_from_the_nominal_model(dry):
     assert calm.data_part > 5 * calm.count
     nominal = engine_start(bench.joint([]))
     found, leads = looked(bench.joint([]), nominal, every)
-    best = contest(bench, nominal, found, STRONG, leads)[0]
+    best = contest(bench, nominal, found, LAWS, leads)[0]
     assert best.mechanism == "coulomb-friction"
     assert (best.spot.place.id, best.spot.place.to) == ("2", "3")
     assert of_fit(best).p[0] == pytest.approx(LIMIT, rel=0.1)
@@ -69,4 +69,4 @@ def test_a_sound_base_has_no_contest():
     )
     nominal = engine_start(bench.joint([]))
     found, leads = looked(bench.joint([]), nominal, every)
-    assert contest(bench, nominal, found, STRONG, leads) == []
+    assert contest(bench, nominal, found, LAWS, leads) == []

@@ -18,7 +18,7 @@ from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import spread_lead, stuck
-from labnnum.diagnosis.nonlinear.tempered import STRONG, contest
+from labnnum.diagnosis.nonlinear.tempered import contest
 from labnnum.diagnosis.scatter import Scatter
 
 LAWS = (
@@ -115,7 +115,7 @@ def explore(
         found, leads = looked(plain, x, spots, unnamed)
         near: list[Tried] = []
         if misled and carry_on and x is nominal:
-            near = contest(bench, nominal, found, STRONG, leads, progress) if strong is not False else []
+            near = contest(bench, nominal, found, LAWS, leads, progress) if strong is not False else []
             if not strong and (not near or near[0].made.data_part > LEAVES * base.data_part):
                 near = sorted([*near, *stuck(bench, quiet, found, HELD, LONG)], key=lambda t: t.cost)
         dry = bool(near) and near[0].made.data_part < LEAVES * base.data_part

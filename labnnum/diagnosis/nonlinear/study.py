@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit, tried_fit
-from labnnum.diagnosis.nonlinear.explore import LINES, LONG, NEAR, NOISY, Prospect, engine_start, nearest
+from labnnum.diagnosis.nonlinear.explore import (
+    LAWS,
+    LINES,
+    LONG,
+    MISLED,
+    NEAR,
+    NOISY,
+    Prospect,
+    engine_start,
+    looked,
+    nearest,
+)
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.laws import SHAPES
 from labnnum.diagnosis.nonlinear.leads import general_lead
@@ -18,6 +29,7 @@ from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.problem import KINKED
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import rounded, spread
+from labnnum.diagnosis.nonlinear.tempered import contest
 from labnnum.diagnosis.scatter import Scatter
 
 ENOUGH = 1.15
@@ -46,6 +58,9 @@ def search(
         tried = sorted([*tried, *(t for t in straight if t is not None)], key=lambda t: t.cost)
     if not tried:
         return None
+    misled = seen.calm.data_part > MISLED * seen.calm.count  # laws were sought from the nominal base then
+    if not (unsure or misled) and tried[0].made.data_part > DOUBTFUL * tried[0].made.count:
+        tried = contested(seen, tried, progress)
     best = tried[0].made
     law = None
     if best.data_part > ENOUGH * best.count:
@@ -55,6 +70,20 @@ def search(
     return Study(
         bench.engine, bench.point, bench.runs, seen.base, seen.calm, tuple(tried), law, seen.recovered
     )  # fmt: skip
+
+
+DOUBTFUL = 3.0
+"""Chi-square per value that the best law leaves above which laws are sought from the quietest level's base, too."""
+
+
+def contested(seen: Prospect, tried: list[Tried], progress: Callable[[str], None]) -> list[Tried]:
+    """The laws that were simulated, best first, and those that win from the base of the quietest level with a tolerance
+    on every line first, which hold where the motion that is recovered misleads.
+    """
+    bench, x = seen.bench, seen.calm.x
+    found, leads = looked(bench.joint([]), x, [q.spot for q in seen.recovered])
+    more = with_rounded(bench, contest(bench, x, found, LAWS, leads, progress))
+    return plainer(sorted([*tried, *more], key=lambda t: t.cost))
 
 
 def of_known(

@@ -34,24 +34,22 @@ BRIEF, STEPS, LAST = 3, 6, 12
 """Steps of the first fit of a law, of one with a tolerance, and of the one without."""
 SETTLED = 20
 """Steps at most of the fits with the widest tolerance: from there on a law must not be far off."""
-SIZES = (0.1, 0.4, 1.6), (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
+SIZES = (0.1, 0.4, 1.6), (0.07, 0.2, 0.5, 1.2, 3.0)
 """Strengths that are looked at, of laws with a gap or slip and of others: the force along the motion that the nominal
 model recovers, of the one recovered."""
 CORNERS = FRACTIONS[[0, 2, 4]]
 """Gaps and slip motions that are looked at, of the largest motion."""
-STRONG = ("coulomb-friction", "stick-slip", "one-sided-gap")
-"""Laws that act at the lowest level as they do at others: what holds, and what stands at its stop."""
-SPOTS, ALIKE = 4, 0.9
+SPOTS, ALIKE = 3, 0.9
 """Spots, by the share of the distortion that a force there explains, at which laws are looked at; and the part of the
 first one's share that another must have."""
-BEGUN, CARRIED, ENDED = 8, 4, 2
+BEGUN, CARRIED, ENDED = 6, 3, 2
 """Laws that are fitted with the widest tolerance, with the next, and to the end, at most."""
-FAR = 3.0
-"""Cost, of the least, above which a law is not carried on."""
+FAR, BEHIND = 3.0, 10.0
+"""Cost, of the least, above which a law is not carried on; and after its first steps."""
 CLEAR = 0.2
 """Part of what the base alone leaves with the widest tolerance below which a law is the one: others are then fitted at
 its place only."""
-HOPEFUL = 0.7
+HOPEFUL = 0.35
 """Part of that above which no law is."""
 
 
@@ -116,10 +114,12 @@ def contest(
             begun += [one] if one is not None else []
             if one is not None and one.made.data_part < CLEAR * alone.data_part:
                 place = lead.spot.place
-    near = [wide.carry_on(t, SETTLED, last=False) for t in _near(begun, CARRIED)]
+    near = [wide.carry_on(t, SETTLED, last=False) for t in _near(begun, CARRIED, BEHIND)]
+    near = _near(near, CARRIED)
     if not near or near[0].cost > HOPEFUL * alone.objective:
         return []
-    for slack in (*ladder[1:], 0.0):
+    narrower = ladder[2:] if near[0].mechanism == "coulomb-friction" else ladder[1:]
+    for slack in (*narrower, 0.0):
         on = slackened(bench, slack) if slack else bench
         steps = STEPS if slack else LAST
         near = _near(
@@ -149,7 +149,7 @@ def _promising(
     return [lead for _, lead in sorted(out, key=lambda pair: pair[0])]
 
 
-ROUGH = 0.2
+ROUGH = 0.1
 """Tolerance below which laws with jumps or corners are simulated with fine steps: what coarse ones have wrong would
 bend the base."""
 
@@ -159,10 +159,10 @@ def _sharp(t: Tried) -> bool:
     return t.mechanism == "coulomb-friction" or SHAPES[t.mechanism].law in KINKED
 
 
-def _near(tried: list[Tried], most: int) -> list[Tried]:
+def _near(tried: list[Tried], most: int, far: float = FAR) -> list[Tried]:
     """The best, as far as they are near the first."""
     tried = sorted(tried, key=lambda t: t.cost)
-    return [t for t in tried[:most] if t.cost < FAR * tried[0].cost]
+    return [t for t in tried[:most] if t.cost < far * tried[0].cost]
 
 
 def _left(bench: Bench, x: NDArray, lead: Lead) -> float:
