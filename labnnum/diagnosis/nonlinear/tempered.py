@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
-from labnnum.diagnosis.nonlinear.fitting import fit
+from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
 from labnnum.diagnosis.nonlinear.lines import NEAR, Lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
@@ -90,42 +90,56 @@ def contest(
     leads : sequence of Lead
         What the recovered motion promises; those at the spots are looked at too.
     """
-    plain = bench.joint([])
-    ladder = LADDER
-    while ladder:
-        alone = fit(slackened(bench, ladder[0]).joint([]), plain.start(x), [None] * len(bench.runs), steps=STEPS)
-        if alone.data_part > UNFIT * alone.count:
-            break
-        ladder = ladder[1:]
-    else:
+    ladder, alone = _begins(bench, x)
+    if alone is None:
         return []
     progress("simulating strong laws")
     wide = slackened(bench, ladder[0])
-    begun: list[Tried] = []
-    place: Place | None = None
-    for lead in _promising(bench, x, found, laws, leads, ladder[0]):
-        if len(begun) == BEGUN:
-            break
-        if place is None or lead.spot.place == place:
-            one = wide.direct((x,), lead, BRIEF, soften=False)
-            least = min((t.cost for t in begun), default=np.inf)
-            if one is not None and one.cost < FAR * least:
-                one = wide.carry_on(one, STEPS, last=False)
-            begun += [one] if one is not None else []
-            if one is not None and one.made.data_part < CLEAR * alone.data_part:
-                place = lead.spot.place
+    begun = _begun(wide, x, _promising(bench, x, found, laws, leads, ladder[0]), CLEAR * alone.data_part)
     near = [wide.carry_on(t, SETTLED, last=False) for t in _near(begun, CARRIED, BEHIND)]
     near = _near(near, CARRIED)
     if not near or near[0].cost > HOPEFUL * alone.objective:
         return []
-    narrower = ladder[2:] if near[0].mechanism == "coulomb-friction" else ladder[1:]
-    for slack in (*narrower, 0.0):
-        on = slackened(bench, slack) if slack else bench
-        steps = STEPS if slack else LAST
-        near = _near(
-            [on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH) for t in near], CARRIED if slack else ENDED
-        )
+    jumps = near[0].mechanism == "coulomb-friction"  # with coarse steps the next tolerance would bend its base
+    for slack in (*ladder[2 if jumps else 1 :], 0.0):
+        on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
+        carried = [on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH) for t in near]
+        near = _near(carried, CARRIED if slack else ENDED)
     return near
+
+
+def _begins(bench: Bench, x: NDArray) -> tuple[Sequence[float], Made | None]:
+    """The ladder from the widest tolerance on that the base alone does not satisfy, and the base there; None where it
+    satisfies all of them.
+    """
+    for i, slack in enumerate(LADDER):
+        joint = slackened(bench, slack).joint([])
+        alone = fit(joint, joint.start(x), [None] * len(bench.runs), steps=STEPS)
+        if alone.data_part > UNFIT * alone.count:
+            return LADDER[i:], alone
+    return (), None
+
+
+def _begun(wide: Bench, x: NDArray, leads: Sequence[Lead], clear: float) -> list[Tried]:
+    """The first leads fitted with the widest tolerance; once one leaves less than `clear` of chi-square, those at its place
+    only.
+    """
+    out: list[Tried] = []
+    place: Place | None = None
+    for lead in leads:
+        if len(out) == BEGUN:
+            break
+        if place is not None and lead.spot.place != place:
+            continue
+        one = wide.direct((x,), lead, BRIEF, soften=False)
+        if one is None:
+            continue
+        if one.cost < FAR * min((t.cost for t in out), default=np.inf):
+            one = wide.carry_on(one, STEPS, last=False)
+        out.append(one)
+        if one.made.data_part < clear:
+            place = lead.spot.place
+    return out
 
 
 def _promising(
