@@ -100,7 +100,7 @@ def diagnose(
     engine = Engine(inner, train.outputs, train.inputs, band)
     where = places_of(engine, places)
     if nonlinear and not initial and moving is None:  # a change within the run stands on quiet lines as well
-        from labnnum.diagnosis.nonlinear.merge import nonlinear_first
+        from labnnum.diagnosis.nonlinear.first import nonlinear_first
 
         again = partial(
             diagnose, structure, places=places, span=span, scatter=scatter, limits=limits, catalogue=catalogue,

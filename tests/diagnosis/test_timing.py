@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.gates import drifted
+from labnnum.diagnosis.nonlinear.first import own_scatter
 from labnnum.diagnosis.nonlinear.joined import records
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Spot
-from labnnum.diagnosis.nonlinear.merge import own_scatter
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import excited_lines, observe
 from labnnum.diagnosis.verdict import Limits

@@ -121,9 +121,7 @@ def _begins(bench: Bench, x: NDArray) -> tuple[Sequence[float], Made | None]:
 
 
 def _begun(wide: Bench, x: NDArray, leads: Sequence[Lead], clear: float) -> list[Tried]:
-    """The first leads fitted with the widest tolerance; once one leaves less than `clear` of chi-square, those at its place
-    only.
-    """
+    """The first leads fitted with the widest tolerance; only those at its place once one leaves less than `clear`."""
     out: list[Tried] = []
     place: Place | None = None
     for lead in leads:

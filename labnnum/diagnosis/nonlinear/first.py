@@ -1,0 +1,333 @@
+"""Nonlinear physics first, then the linear search on what it leaves: one answer from both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.answer import answer, parts_of, promised
+from labnnum.diagnosis.nonlinear.beside import Beneath, added_to, beneath, misled, quietest_of, strained
+from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
+from labnnum.diagnosis.nonlinear.decision import (
+    EQUAL,
+    FOUND,
+    KNOWN,
+    MISFIT,
+    NOTHING,
+    UNCONFIRMED,
+    USELESS,
+    NonlinearAnswer,
+)
+from labnnum.diagnosis.nonlinear.detect import CHANGE
+from labnnum.diagnosis.nonlinear.explore import NOISY
+from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.mended import Fault, mended
+from labnnum.diagnosis.nonlinear.merge import merged
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.places import Places
+from labnnum.diagnosis.scatter import Scatter
+from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
+from labnnum.mechanisms import CATALOGUE
+from labnnum.structures.modal import ModalStructure
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.gates import Gate
+
+
+OWN = Scatter(
+    frequency=0.01, damping=1.0, residue=0.2, shape=1e-4, gain=1e-5, phase=1e-5, complexity=1e-5, remainder=1e-3,
+    floor=3e-4,
+)  # fmt: skip
+"""Errors of a model that was identified with the sensors it is judged by."""
+
+
+NEARLY = 1 / 3
+"""Part of the base's held-out error, to which a law must bring it down, for what is left to be no objection where the
+base was identified and misses its own data: it has no physics that the law could contradict."""
+
+
+LEAST = 1e-3
+"""What any identified base misses at least, RMS over the lines of a response, relative: errors then weigh as they do in
+a simulated response, and not line by line."""
+
+
+def own_scatter(error: float) -> Scatter:
+    """Errors of a model that was identified with the sensors it is judged by, and missed its own data by `error`."""
+    return replace(
+        OWN, shape=max(OWN.shape, error / 2), remainder=max(OWN.remainder, 2 * error), floor=max(OWN.floor, error / 2)
+    )
+
+
+def nonlinear_first(
+    engine: Engine, gate: Gate, observations: Sequence[Observation], held_out: Sequence[Observation], places: Places,
+    scatter: Scatter, limits: Limits, span: tuple[float, float] | None,
+    again: Callable[..., Diagnosis], progress: Callable[[str], None], known: Sequence[Lead] = (),
+) -> Diagnosis | None:  # fmt: skip
+    """The whole diagnosis where the runs show nonlinear physics, else None.
+
+    `known` laws are those that the model holds. The linear search (`again`) runs on FRFs from which the law's share is
+    taken. Where it names a fault of a channel, that is taken off the spectra and the law is sought once more.
+    """
+    from labnnum.diagnosis.runs import kept_back
+
+    usable = gate.usable
+    kept = set() if held_out or len(usable) < 2 else kept_back(usable)
+    train = [o for i, o in enumerate(usable) if i not in kept]
+    test = list(held_out) or [usable[i] for i in sorted(kept)]
+    nearly = 0.0
+    if isinstance(engine.structure, ModalStructure):
+        scatter = own_scatter(engine.structure.error)
+        nearly = NEARLY if engine.structure.error > 0 else 0.0
+        miss = max(engine.structure.error, LEAST)
+        train, test = ([_missing(o, miss) for o in part] for part in (train, test))
+    band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
+    whole = _Whole(
+        engine, gate, observations, held_out, places, scatter, limits, band, again, progress, known, nearly, train,
+        test, list(usable),
+    )  # fmt: skip
+    found = whole.first()
+    if found is None:
+        return None
+    found = whole.unhidden(found)
+    if not found.named and found.reason != KNOWN and found.reason not in FOUND:
+        linear = whole.nameless(found)
+        if linear is not None:
+            return linear
+    return whole.beside(found)
+
+
+@dataclass
+class _Whole:
+    """The searches of one diagnosis and what they share; faults of channels that were found are off its runs."""
+
+    engine: Engine
+    gate: Gate
+    observations: Sequence[Observation]
+    held_out: Sequence[Observation]
+    places: Places
+    scatter: Scatter
+    limits: Limits
+    band: tuple[float, float]
+    again: Callable[..., Diagnosis]
+    progress: Callable[[str], None]
+    known: Sequence[Lead]
+    nearly: float
+    train: list[Observation]
+    test: list[Observation]
+    usable: list[Observation]
+    faults: list[Fault] = field(default_factory=list)
+    of_channels: tuple[Named, ...] = ()
+
+    @property
+    def signs(self) -> dict:
+        """What shows that the runs are not linear."""
+        from labnnum.diagnosis.runs import nonlinear_signs
+
+        return nonlinear_signs(self.observations)
+
+    @property
+    def periodic(self) -> bool:
+        """Whether all runs repeat."""
+        return all(o.run is not None for o in self.train)
+
+    def law(
+        self, on: Engine, *, known: Sequence[Lead] = (), doubted: int | None = None, whole: bool = True,
+        suspicious: bool = True, strong: bool | None = None,
+    ) -> NonlinearAnswer | None:  # fmt: skip
+        """The law that the runs show on an engine."""
+        others = self.usable if whole else ()
+        return answer(
+            on, self.train, self.test, self.places, self.scatter, self.limits, self.band, self.progress, others, known,
+            self.nearly, doubted, suspicious, strong,
+        )  # fmt: skip
+
+    # ------------------------------------------------------------ the law, and what lies beneath it
+
+    def first(self) -> NonlinearAnswer | None:
+        """The law, sought with linear physics of the quietest level in the model where that is called for."""
+        free = not isinstance(self.engine.structure, ModalStructure) and not self.known
+        parts = parts_of(self.engine, self.train, self.test, self.usable, self.band) if free else None
+        early = parts is not None and misled(self.engine, parts, self.scatter, self.band)
+        found = self.law(self.engine, suspicious=False, strong=True) if early else None
+        sure = found is not None and _clear(found)
+        under: Beneath | None = None
+        second: NonlinearAnswer | None = None
+        if early and not sure:
+            quiet, under = self._quiet()
+            if under is not None:
+                second = self._above(under)
+                if quiet.named and (second is None or second.reason == UNCONFIRMED):
+                    return None  # with that in the model there is nothing nonlinear
+        if not (sure or better(second, NOISY)):
+            whole = self.law(self.engine, known=self.known, strong=False if early else None)
+            if found is None or (whole is not None and whole.misfit < found.misfit):
+                found = whole
+            if found is None or found.reason == UNCONFIRMED:
+                return None
+            if free and not early and not _explained(found):
+                under = self._quiet()[1]
+                second = self._above(under) if under is not None else None
+        if under is not None and second is not None and (found is None or _instead(second, found)):
+            found, self.faults, self.of_channels = second, under.faults, under.named
+            self._mend(self.faults)
+        return found
+
+    def _mend(self, faults: Sequence[Fault]) -> None:
+        """Takes faults of channels off all runs."""
+        self.train, self.test, self.usable = (
+            [mended(o, faults) for o in part] for part in (self.train, self.test, self.usable)
+        )
+
+    def _quiet(self) -> tuple[Diagnosis, Beneath | None]:
+        """The linear search on the quietest level alone, and what of it goes into the model."""
+        self.progress("searching for linear physics at the quietest level")
+        quiet = self.again(quietest_of(self.usable, self.train), depth=2)
+        return quiet, beneath(self.engine, quiet)
+
+    def _above(self, under: Beneath) -> NonlinearAnswer | None:
+        """What the law is with linear physics of the quietest level in the model, and faults of channels off."""
+        before = self.train, self.test, self.usable
+        self._mend(under.faults)
+        on = under.engines[0]
+        several = len(under.engines) > 1
+        parts = parts_of(self.engine, self.train, self.test, self.usable, self.band) if several else None
+        if parts is not None:
+            on = min(under.engines, key=lambda e: promised(e, parts, self.places, self.scatter, self.band))
+        made = self.law(on, suspicious=False)
+        self.train, self.test, self.usable = before
+        return made
+
+    def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
+        """The law, sought once more where one that leaves too much stands beside something linear that the base pays
+        for.
+        """
+        if found.reason != NOTHING or not strained(found):
+            return found
+        self.progress("searching for linear physics that hides the law")
+        wider = added_to(self.engine, self.again(found.linearised, found.linearised_held_out, depth=1))
+        second = self.law(wider) if wider is not None else None
+        return second if second is not None and second.named and second.misfit < found.misfit else found
+
+    # ------------------------------------------------------------ linear physics instead of it and beside it
+
+    def nameless(self, found: NonlinearAnswer) -> Diagnosis | None:
+        """The linear search where no law has a name and that says more; None where the law's share is to be taken out
+        first.
+        """
+        useless = hopeless(found, self.observations, self.scatter, self.limits)
+        # what one linear mechanism explains needs no law that has no name
+        plain = self.again(self.observations, self.held_out, **({"catalogue": ()} if useless else {}))
+        small = found.base_error[1] < max(self.limits.sound, 3 * found.noise)
+        sound = plain.verdict in ("consistent", "parameters") and (
+            small if found.reason == USELESS else not (self.periodic or found.gained)
+        )
+        change = self.signs["level_dependence"]
+        linear = not found.gained and change is not None and change < CHANGE  # it rings, or the shaker distorts
+        if not useless and (plain.named or sound or linear):
+            return plain
+        if not self.gate.named and (found.misfit > MISFIT or not found.gained):
+            # what such a law leaves is no linear structure either, or what there was before
+            return merged(found, plain, (), self.signs, self.observations)
+        return None
+
+    def beside(self, found: NonlinearAnswer) -> Diagnosis | None:
+        """The law and what the linear search finds beside it; None where a channel alone made the signs."""
+        if not found.linearised:
+            rest = self.again(self.observations, self.held_out, catalogue=())
+            return merged(found, rest, self.gate.named, self.signs, self.observations)
+        self.progress("searching for linear physics beside it")
+        rest = self._rest(found)
+        unsure = self.periodic and found.lying is None and found.misfit > UNSURE
+        doubted = _doubted(rest, self.train) if unsure else None
+        if doubted is not None and not self.faults:
+            self.progress("leaving out a channel that the law does not explain")
+            second = self.law(self.engine, doubted=doubted, whole=False)
+            if second is not None and second.named and second.misfit < HALF * found.misfit:
+                found = second
+                rest = self.again(found.linearised, found.linearised_held_out)
+        if self.periodic and not self.faults and any(n.place.kind == "channel" for n in rest.named):
+            wrong = [Fault(n.term, n.value) for n in rest.named if n.place.kind == "channel"]
+            self.train, self.test = ([mended(o, wrong) for o in part] for part in (self.train, self.test))
+            second = self.law(self.engine, whole=False)
+            if second is not None and second.reason == UNCONFIRMED:
+                return None  # the channel made the signs; what is left of them no law explains
+            less = second is not None and second.misfit < found.misfit and (bool(second.named) or not found.named)
+            if second is not None and (less or (second.named and second.misfit < UNSURE)):
+                found = second
+        told = any(n.place.kind == "channel" for n in rest.named)
+        before = () if told or not found.named else self.of_channels
+        return merged(found, rest, self.gate.named, self.signs, self.observations, before)
+
+    def _rest(self, found: NonlinearAnswer) -> Diagnosis:
+        """The linear search on the FRFs from which the law's share is taken, as far as it may find anything there."""
+        sure = bool(found.named) or found.reason in (KNOWN, EQUAL, *FOUND)
+        explained = sure and found.misfit < EXPLAINED and found.lying is None
+        near = found.misfit < MISFIT and found.lying is None
+        hid = found.study.engine is not self.engine  # one mechanism kept the law from being named: that one is sought
+        own = sure and not (hid or self.nearly) and found.lying is None  # the search begins with what the law leaves
+        spent = not explained and own and hopeless_beside(found, self.scatter, self.limits)
+        kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
+        parts = (found.linearised, found.linearised_held_out)
+        measured = [[mended(o, self.faults, back=True) for o in part] for part in parts]
+        if not explained:
+            return self.again(*measured, **kind)
+        # a law and the errors of a sound model may excuse a channel's fault
+        rest = self.again(*parts, beside=True, catalogue=CHANNELS)
+        if not rest.named and rest.verdict not in ("consistent", "parameters"):
+            rest, self.of_channels = self.again(*measured), ()  # the law's errors excused what a channel has wrong
+        return rest
+
+
+UNSURE, HALF = 1.5, 0.5
+"""Chi-square per value that a law leaves above which a channel may lie; part of it to which it must come without it."""
+CHANNELS = tuple(m for m in CATALOGUE if m.domain == "channel")
+"""Mechanisms that are asked for where a law leaves nothing."""
+BETTER, NEARER = 0.8, 0.5
+"""Part of what a law leaves to which it must bring it where linear physics was put beside it; and the part of that
+which one without a name may leave."""
+
+
+def better(second: NonlinearAnswer | None, most: float) -> bool:
+    """Whether a law beside linear physics leaves less than `most` a value; one without a name, a part of that."""
+    return second is not None and second.gained and second.misfit < (most if second.named else NEARER * most)
+
+
+def _instead(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
+    """Whether a law beside linear physics takes the place of one without; none without a name of one that has one."""
+    return bool(second.named or not found.named) and better(second, BETTER * found.misfit)
+
+
+CLEAR = 0.01
+"""Part of what the base leaves below which a strong law was found, though it leaves more than noise."""
+
+
+def _clear(found: NonlinearAnswer) -> bool:
+    """Whether a strong law was found, which the quietest level can tell nothing about."""
+    base = found.study.base.data_part / found.study.base.count
+    return bool(found.named) and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
+
+
+def _explained(found: NonlinearAnswer) -> bool:
+    """Whether a law is named that leaves nothing for anything else."""
+    return bool(found.named) and found.misfit < EXPLAINED and found.lying is None
+
+
+def _doubted(rest: Diagnosis, train: Sequence[Observation]) -> int | None:
+    """Number of the response at which the linear search finds what has no name."""
+    if rest.verdict != "unexplained" or rest.place is None or rest.place.kind != "channel":
+        return None
+    names = [c.name for c in train[0].frf.outputs]
+    return names.index(rest.place.id) if rest.place.id in names else None
+
+
+def _missing(o: Observation, error: float) -> Observation:
+    """The observation with what an identified base is known to miss."""
+    return o if o.run is None else replace(o, run=replace(o.run, miss=error))
+
+
+EXPLAINED = 1.2
+"""Chi-square per value below which a law and the ordinary errors leave nothing for the linear search."""
