@@ -10,7 +10,15 @@ import numpy as np
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
-from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NEARLY, NonlinearAnswer, decide, unsimulated
+from labnnum.diagnosis.nonlinear.decision import (
+    KNOWN,
+    MISFIT,
+    NEARLY,
+    NonlinearAnswer,
+    decide,
+    lead_over,
+    unsimulated,
+)
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.explore import NOISY, Prospect, explore
 from labnnum.diagnosis.nonlinear.joined import joined, records
@@ -20,7 +28,7 @@ from labnnum.diagnosis.nonlinear.pairs import BETTER, paired, study_of
 from labnnum.diagnosis.nonlinear.records import Split, changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import anew, base_again, corners, of_known, refined, search
+from labnnum.diagnosis.nonlinear.study import anew, base_again, corners, nameless_kin, of_known, refined, search
 from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import Observation
@@ -113,6 +121,7 @@ def answer(
         tried = [corners(found, tried, scatter, POOR), *tried[1:]]
         if not identified:  # the base of such a model is the quietest level's, and no law has bent it
             tried[0] = anew(found, tried, scatter)
+            tried = [*_ahead(nameless_kin(found, tried[0], scatter), tried[0], limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
         two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None
         return two or (found, laws_of(found, every, train, test, scatter, limits, progress, identified))
@@ -205,6 +214,15 @@ def parts_of(
     elif not signs(runs).present:
         return None
     return Split(tuple(_levels(train, runs)[0]), tuple(test), whole)
+
+
+def _ahead(other: Tried | None, best: Tried, limits: Limits) -> list[Tried]:
+    """Another candidate where it leads the best as far as a name must."""
+    if other is None:
+        return []
+    left = other.made.data_part / other.made.count
+    lead = lead_over(other.cost, best.cost, max(1.0, left), left > limits.misfit)
+    return [other] if lead > limits.name else []
 
 
 def _poor(last: Tried) -> bool:

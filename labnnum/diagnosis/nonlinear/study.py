@@ -23,9 +23,10 @@ from labnnum.diagnosis.nonlinear.explore import (
     nearest,
 )
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
-from labnnum.diagnosis.nonlinear.laws import SHAPES
-from labnnum.diagnosis.nonlinear.leads import general_lead
+from labnnum.diagnosis.nonlinear.laws import SHAPES, general_basis
+from labnnum.diagnosis.nonlinear.leads import UNNAMED, general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
+from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import KINKED
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import rounded, spread
@@ -338,3 +339,32 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
     ahead = sorted([*done, *(t for t in rest if t.simulated)], key=lambda t: t.cost)
     return [ahead[0], *sorted([*ahead[1:], *(t for t in rest if not t.simulated)], key=lambda t: t.cost)]
+
+
+ALIKE = 0.9
+"""Correlation of a law's force with that of one without a name, along its own motion, from which that one is tried."""
+
+
+def nameless_kin(study: Study, best: Tried, scatter: Scatter) -> Tried | None:
+    """A law without a name that is like the best one, simulated in its place.
+
+    Along a motion that the wrong law has shaped such a one may promise little: z|z| looks like play, and simulated from
+    where the play ended it explains what that leaves.
+    """
+    if not (best.simulated and best.named) or best.more or not all(best.made.orbits):
+        return None
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
+    loud = best.made.orbits[int(np.argmax([r.level for r in study.runs]))]
+    assert loud is not None
+    force = -loud.time[:, 0]
+    terms = general_basis(*loud.motion[:, 0].T)
+    made: list[Tried] = []
+    for i in UNNAMED:
+        along = float(force @ terms[i])
+        size = float(terms[i] @ terms[i])
+        if along**2 > ALIKE**2 * size * float(force @ force) > 0:
+            p = np.zeros(N_P)
+            p[i] = along / size
+            one = bench.direct((best.made.x[: best.made.n_base],), Lead(best.spot, "general", p, 0.0), LONG)
+            made += [one] if one is not None else []
+    return min(made, key=lambda t: t.cost, default=None)
