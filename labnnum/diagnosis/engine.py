@@ -71,10 +71,13 @@ class Engine:
         self._share: tuple[tuple, NDArray[np.complex128]] | None = None
         self._taken: dict[bytes, NDArray[np.complex128]] = {}
         self._grids: dict[tuple[int, int, int], tuple] = {}
+        self._turns: dict[tuple[float, float], NDArray[np.float64]] = {}
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
         self.sign_out = np.array([c.sign for c in self.outputs])
         self.sign_in = np.array([c.sign for c in self.inputs])
+        self._nominal_shape: NDArray[np.float64] | None = None
         first = self.state(self.theta0)
+        self._nominal_shape = first.shape.T @ np.real(m.M)
         low, high = band
         self.keep = first.omega.size
         self.rigid_modes = int(np.count_nonzero(first.omega < 1e-6 * max(first.omega.max(), 1e-300)))
@@ -244,7 +247,7 @@ class Engine:
         except LinAlgError:
             raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}") from None
         shape = own[:n] + made.static @ own[n:] if changes else v @ own
-        turned = np.where(shape[np.abs(shape).argmax(axis=0), np.arange(shape.shape[1])] < 0, -1.0, 1.0)
+        turned = self._turned(shape)
         own, shape = own * turned, shape * turned
         whole = own if changes else shape
         sensors, drives = self._rows(theta)
@@ -273,6 +276,13 @@ class Engine:
             theta, omega, shape, out.T, load, d_log, mix, d_load + turn @ load, d_out + turn @ out.T,
             sensors @ self.high, high_in, r, sensors @ r, sensors, drives,
         )  # fmt: skip
+
+    def _turned(self, shape: NDArray) -> NDArray[np.float64]:
+        """Sign (m,) with which each mode is the nominal one that it is most like, and not its opposite: errors of loads
+        and motions are added to modes, and the largest entry is at one end of a symmetric mode or at the other.
+        """
+        like = shape if self._nominal_shape is None else self._nominal_shape @ shape
+        return np.where(like[np.abs(like).argmax(axis=0), np.arange(shape.shape[1])] < 0, -1.0, 1.0)
 
     def _rows(self, theta: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Participations of the outputs (n_out, n) and of the inputs (n_in, n), none under base motion."""
@@ -335,6 +345,16 @@ class Engine:
     def irregular(self) -> Irregular:
         """The structure's parts, each of which may differ a little from the model's."""
         return Irregular.of(self)
+
+    def shape_spread(self, rows: NDArray, stiffness: float, mass: float) -> NDArray[np.float64]:
+        """Standard deviation (k, m_b) of the band modes' motions `rows` (k, n) @ shape where elements' stiffness and
+        nodes' masses differ by such relative ones.
+        """
+        key = stiffness, mass
+        if key not in self._turns:
+            self._turns[key] = self.irregular.turns(self, stiffness, mass)
+        motion = rows @ self.state(self.theta0).shape
+        return np.sqrt(np.square(motion @ self._turns[key]).sum(axis=0))
 
     # ---------------------------------------------------------------- the mesh
 

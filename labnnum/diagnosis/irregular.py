@@ -96,6 +96,23 @@ class Irregular:
         every[:, b, b] = 0.0
         return every, moved
 
+    def turns(self, engine: Engine, stiffness: float, mass: float) -> NDArray[np.float64]:
+        """What each band mode takes in of every mode, (n_parts, m, m_b), for such relative changes of each element's
+        stiffness and each node's mass: the angle by which two modes turn (Fox and Kapoor 1968, equation 15, beyond
+        small angles as of two modes alone).
+        """
+        first, b = engine.state(engine.theta0), engine.band_modes
+        square = first.omega**2
+        gap = square[b] - square[:, None]
+        stiff = stiffness * _squares(self.elements.T @ first.shape, self.starts)
+        heavy = -mass * _squares(self.masses.T @ first.shape, self.first)
+        mixed = np.concatenate([stiff[:, :, b], heavy[:, :, b] * square[b]])
+        out = 0.5 * np.arctan2(2 * mixed, np.abs(gap)) * np.where(gap < 0, -1.0, 1.0)
+        own = np.arange(b.size)
+        out[:, b, own] = 0.0
+        out[len(stiff) :, b, own] = heavy[:, b, b] / 2
+        return out
+
     def columns(
         self, one: Evaluation, q: NDArray, p_out: NDArray, common: NDArray
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:

@@ -148,3 +148,21 @@ def test_errors_get_the_size_that_the_data_support(gross):
     assert mean[gross] > 0.75
     for k in set(told) - {gross}:
         assert LEAST <= mean[k] < USUAL[k]
+
+
+def test_the_spread_of_shapes_is_that_of_structures_with_parts_of_their_own():
+    """Against modes solved anew with each element and mass drawn, 1 % and 2 % about the model's."""
+    rng = np.random.default_rng(3)
+    one = engine()
+    b = one.band_modes
+    rows = np.array([one.participation(f"{i}:x", one.theta0) for i in (1, 3, 5)])
+    k, m = np.array([4e5, 3e5, 5e5, 4e5, 3e5]), np.array([1.0, 1.3, 0.8, 1.1, 0.9])
+    nominal = one.state(one.theta0).shape
+    moved = []
+    for _ in range(400):
+        other = engine(chain(k * (1 + 0.01 * rng.standard_normal(N)), m * (1 + 0.02 * rng.standard_normal(N))))
+        shape = other.state(one.theta0).shape
+        shape = shape * np.sign(np.sum(shape * nominal, axis=0))
+        moved.append(rows @ (shape - nominal)[:, b])
+    drawn = np.std(moved, axis=0)
+    np.testing.assert_allclose(one.shape_spread(rows, 0.01, 0.02), drawn, rtol=0.15, atol=0.02 * drawn.max())

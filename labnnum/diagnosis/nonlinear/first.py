@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 OWN = Scatter(
     frequency=0.01, damping=1.0, residue=0.2, shape=1e-4, gain=1e-5, phase=1e-5, complexity=1e-5, remainder=1e-3,
-    floor=3e-4,
+    floor=3e-4, stiffness=0.0, mass=0.0,
 )  # fmt: skip
 """Errors of a model that was identified with the sensors it is judged by."""
 

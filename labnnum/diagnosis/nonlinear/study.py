@@ -328,7 +328,7 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     finer = any(t.made.terms[0].last for t in kept)  # then all that are compared with it
 
     def fine(t: Tried) -> bool:
-        return last if t.mechanism == "coulomb-friction" else finer
+        return last or (finer and t.mechanism != "coulomb-friction")
 
     long = [fine(t) and (_coarse(t) or not t.made.terms[0].last) for t in kept]
     done = [bench.carry_on(t, LONG if far else 4, last=fine(t)) for t, far in zip(kept, long, strict=True)]
