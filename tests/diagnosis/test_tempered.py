@@ -50,8 +50,9 @@ def test_a_tolerance_adds_to_what_a_line_may_be_off(dry):
 
 
 def test_friction_that_holds_is_found_from_the_nominal_model(dry):
-    """The base fitted to the lowest level is misled; the contest knows neither place, law nor strength. What it leaves has
-    a second valley at 1.12 of the strength, which costs 3 % more than that of the truth.
+    """The base fitted to the lowest level is misled; the contest knows neither place, law nor strength.
+
+    The strength has a second valley at 1.12 of the true one, which costs 3 % more.
     """
     bench, i, every = dry
     calm = calmed(bench.engine, bench.point, bench.runs[i], bench.scatter)
