@@ -27,6 +27,7 @@ from labnnum.mechanisms.changes import Change, Freed
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
+from labnnum.structures.modal import ModalStructure
 
 REACH = 2.5
 """Modes up to so many times the band are kept; those above enter quasi-statically."""
@@ -45,6 +46,11 @@ class _Changed:
     """To the structure's parameters, then to each change's."""
     static: NDArray
     own_load: NDArray
+
+
+ABOVE = 2
+"""Modes next above those whose motions at the sensors have errors of their own too: where a row all but vanishes by
+symmetry, a share of what they contribute to it says nothing."""
 
 
 class Engine:
@@ -94,6 +100,9 @@ class Engine:
         if not self.seen_modes.size:
             self.seen_modes = self.band_modes[:1]
         self.outside_modes = np.setdiff1d(np.arange(first.omega.size), self.band_modes)
+        higher = self.outside_modes[first.omega[self.outside_modes] > first.omega[self.band_modes].max()]
+        identified = isinstance(structure, ModalStructure)  # its mode above the band stands for all that lie there
+        self.modes_above = higher[np.argsort(first.omega[higher])][: 0 if identified else ABOVE]
         self.zeta0 = self._damping(first)
         self._sizes(first)
         self.finer: bool | None = None

@@ -178,6 +178,8 @@ class Problem:
             ]
         )
         parts = [shapes, 1j * (sc.complexity / sc.shape) * shapes, others]
+        if r.other_modal is not None and r.other_modal.shape[1] == n_i:
+            parts.append(sc.shape * r.other_modal[np.searchsorted(e.outside_modes, e.modes_above)][:, None] * r.lift)
         if r.rigid is not None:  # soft springs and their loss under a free structure: a share that falls as 1/s^2
             low = np.min(np.abs(self.data.s.imag))
             held = sc.suspension * r.rigid * r.lift * (low / self.data.s) ** 2

@@ -215,18 +215,20 @@ class Joint:
         """Complex columns (n_out, n, at) of what is marginalised."""
         sc, e = self.scatter, self.engine
         b, lift = e.band_modes, r.lift[:, None, r.index(at)]
-        drive = r.load[b][:, None] * (r.gain * run.u)[at]
+        near = np.concatenate([b, e.modes_above])
+        drive = r.load[near][:, None] * (r.gain * run.u)[at]
         if orbit is not None:
-            drive = drive + r.w[:, b].T @ orbit.force[:, at]
-        modal = sc.shape * e.typical[:, None] * r.d[b][:, at] * drive
-        modal = lift * modal
+            drive = drive + r.w[:, near].T @ orbit.force[:, at]
+        typical = np.concatenate([e.typical, np.abs(r.out[e.modes_above]).max(axis=1)])
+        every = lift * (sc.shape * typical[:, None] * r.d[near][:, at] * drive)
+        modal, higher = every[:, : b.size], every[:, b.size :]
         s = at / max(at.max(), 1)
         others = np.stack([sc.gain * y, 1j * sc.phase * y, 1j * sc.phase * s * y], axis=1)
         outside = np.setdiff1d(np.arange(r.omega.size), b)
         if outside.size:
             rest = (r.out[outside].T * r.load[outside]) @ r.d[outside][:, at] * (r.gain * run.u)[at] * lift[:, 0]
             others = np.concatenate([others, sc.remainder * rest[:, None], 0.3j * sc.remainder * rest[:, None]], axis=1)
-        return np.concatenate([modal, 1j * (sc.complexity / sc.shape) * modal, others], axis=1)
+        return np.concatenate([modal, 1j * (sc.complexity / sc.shape) * modal, higher, others], axis=1)
 
     @staticmethod
     def _real(a: NDArray) -> NDArray[np.float64]:
