@@ -28,7 +28,16 @@ from labnnum.diagnosis.nonlinear.pairs import BETTER, paired, study_of
 from labnnum.diagnosis.nonlinear.records import Split, changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.study import anew, base_again, corners, nameless_kin, of_known, refined, search
+from labnnum.diagnosis.nonlinear.study import (
+    anew,
+    base_again,
+    corners,
+    fine_enough,
+    nameless_kin,
+    of_known,
+    refined,
+    search,
+)
 from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
 from labnnum.diagnosis.observe import Observation
@@ -120,7 +129,7 @@ def answer(
             return None
         tried = [corners(found, tried, scatter, POOR), *tried[1:]]
         if not identified:  # the base of such a model is the quietest level's, and no law has bent it
-            tried[0] = anew(found, tried, scatter)
+            tried[0] = fine_enough(found, anew(found, tried, scatter), scatter)
             tried = [*_ahead(nameless_kin(found, tried[0], scatter), tried[0], limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
         two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None

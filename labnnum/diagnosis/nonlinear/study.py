@@ -27,7 +27,7 @@ from labnnum.diagnosis.nonlinear.laws import SHAPES, general_basis
 from labnnum.diagnosis.nonlinear.leads import UNNAMED, general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.march import N_P
-from labnnum.diagnosis.nonlinear.problem import KINKED
+from labnnum.diagnosis.nonlinear.problem import KINKED, Joint, reduced, steps_of
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import rounded, spread
 from labnnum.diagnosis.nonlinear.tempered import contest
@@ -339,6 +339,28 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
     ahead = sorted([*done, *(t for t in rest if t.simulated)], key=lambda t: t.cost)
     return [ahead[0], *sorted([*ahead[1:], *(t for t in rest if not t.simulated)], key=lambda t: t.cost)]
+
+
+HALVED, MOVED, LOST = 2, 0.01, 1.2
+"""How often the steps of the best law's march are halved at most; the change of what it leaves, of that, from which it
+is worth another fit; and how much more that may cost before it is another steady state that was followed."""
+
+
+def fine_enough(study: Study, best: Tried, scatter: Scatter) -> Tried:
+    """The best law fitted with shorter and shorter steps, until shorter ones leave as much with the same parameters."""
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
+    for _ in range(HALVED if best.simulated and best.made.terms[0].last else 0):
+        terms = [replace(t, steps=2 * steps_of(best.made.terms)) for t in best.made.terms]
+        joint = Joint(bench.engine, bench.point, bench.runs, terms, scatter, bench.lines)
+        orbits = joint.settle(best.made.x, best.made.orbits, LONG)
+        left = reduced(*joint.parts(best.made.x, orbits))[0]
+        if abs(left - best.made.data_part) < MOVED * best.made.data_part:
+            break
+        finer = tried_fit(joint, best.made.x, orbits, best.lead, LONG, always=True, more=best.more)
+        if finer is None or finer.cost > LOST * best.cost:
+            break
+        best = finer
+    return best
 
 
 ALIKE = 0.9
