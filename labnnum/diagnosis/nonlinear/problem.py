@@ -123,6 +123,17 @@ class Joint:
             usual = np.hypot(usual, np.minimum(own / first.w_typical, FREE))
         return usual.ravel()
 
+    def _unseen(self) -> NDArray[np.intp]:
+        """Entries of modes beyond the lines of a run: frequency, damping and motions, which laws' harmonics may feel in
+        the march, but no derivative line by line holds.
+        """
+        e = self.engine
+        m = e.band_modes.size
+        top = 2 * np.pi * min(r.rate for r in self.runs) / 2
+        far = np.flatnonzero(e.state(e.theta0).omega[e.band_modes] > top)
+        n = e.theta0.size
+        return np.concatenate([n + far, n + m + far, *(n + (3 + i) * m + far for i in range(self.k))])
+
     def _bounds(self) -> None:
         e = self.engine
         m = e.band_modes.size
@@ -131,6 +142,8 @@ class Joint:
         high = np.concatenate([[p.upper for p in e.structure.parameters], wide])
         at = e.theta0.size + m
         high[at : at + m] = np.log(0.7)
+        held = self._unseen() if self.k else np.zeros(0, int)
+        low[held] = high[held] = self.x0[held]
         low, high, scale = [low], [high], [np.ones(low.size)]
         for t in self.terms:
             size = np.abs(t.start[: t.n])

@@ -341,13 +341,15 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     return [ahead[0], *sorted([*ahead[1:], *(t for t in rest if not t.simulated)], key=lambda t: t.cost)]
 
 
-HALVED, MOVED, LOST = 2, 0.01, 1.2
-"""How often the steps of the best law's march are halved at most; the change of what it leaves, of that, from which it
-is worth another fit; and how much more that may cost before it is another steady state that was followed."""
+HALVED, MOVED = 2, 0.01
+"""How often the steps of the best law's march are halved at most, and the change of what it leaves, of that, from which
+it is worth another fit."""
 
 
 def fine_enough(study: Study, best: Tried, scatter: Scatter) -> Tried:
-    """The best law fitted with shorter and shorter steps, until shorter ones leave as much with the same parameters."""
+    """The best law fitted with shorter and shorter steps, until those leave as much with the same parameters, or more
+    after the fit: then it is another steady state that was followed.
+    """
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
     for _ in range(HALVED if best.simulated and best.made.terms[0].last else 0):
         terms = [replace(t, steps=2 * steps_of(best.made.terms)) for t in best.made.terms]
@@ -357,7 +359,7 @@ def fine_enough(study: Study, best: Tried, scatter: Scatter) -> Tried:
         if abs(left - best.made.data_part) < MOVED * best.made.data_part:
             break
         finer = tried_fit(joint, best.made.x, orbits, best.lead, LONG, always=True, more=best.more)
-        if finer is None or finer.cost > LOST * best.cost:
+        if finer is None or finer.cost > best.cost:
             break
         best = finer
     return best
