@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.evaluation import sweep
 from labnnum.diagnosis.places import all_terms, places_of
 from labnnum.errors import ConfigError
 from labnnum.mechanisms import CATALOGUE, extend
+from labnnum.mechanisms.shear_rotary import coarse_mass, rotary_mass, sideways_mass
 from labnnum.recording import Channel
 from labnnum.response import frf, frf_sensitivity, modes
 from labnnum.structures import Beam
@@ -263,10 +265,13 @@ def test_two_clamps_that_give_are_the_beam_on_springs(tmp_path):
 
 
 def test_thick_elements_are_those_of_timoshenko(tmp_path):
-    """Elements as long as they are high: Euler's with the mechanism are Timoshenko's, mass and all."""
+    """Elements as long as they are high: Euler's with the mechanism are Timoshenko's, mass and all, but for what those
+    of two nodes have wrong beside finer ones.
+    """
     text = CLAMPED.replace("height = 0.004", "height = 0.04").format(ends="").replace("rho", "{theory}rho", 1)
     thin = parse_model(text.format(theory=""), tmp_path / "model.toml").structure
     thick = parse_model(text.format(theory='theory = "timoshenko"\nnu = 0.3\n'), tmp_path / "model.toml").structure
+    finer = modes(thick, np.array([66e9])).frequency
     thick = replace(thick, interior=0)
     role = Channel("f", "force", "reference", "4", "z")
     engine = Engine(thin, [Channel("a", "acceleration", "response", "5", "z")], [role], (2000.0, 60000.0))
@@ -275,6 +280,34 @@ def test_thick_elements_are_those_of_timoshenko(tmp_path):
     theta = np.array([66e9])
     wave = np.sqrt(70e9 / 2700 * 0.04**2 / 12)  # the mechanism's time is over the nominal wave
     time = 0.04**2 / 12 * (1 + 2.6 * 6 / 5) / (2 * wave)
-    ours = engine.state(theta, [(term.whole, np.array([time]))]).omega / (2 * np.pi)
+    bare = replace(term.whole, coarse=0 * term.whole.coarse)
+    ours, plain = (engine.state(theta, [(w, np.array([time]))]).omega / (2 * np.pi) for w in (term.whole, bare))
     exact = modes(thick, theta).frequency[: ours.size]
-    np.testing.assert_allclose(ours[2:], exact[2:], rtol=1e-6)
+    np.testing.assert_allclose(plain[2:], exact[2:], rtol=1e-6)
+    wrong, left = plain[2:6] / finer[2:6] - 1, ours[2:6] / finer[2:6] - 1
+    assert np.all(np.abs(left) < 0.4 * wrong)
+
+
+@pytest.mark.parametrize("thick", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("wave", [0.5, 1.0, 1.5])
+def test_a_coarse_mesh_of_sheared_elements_is_no_stiffer_than_one_without_shear(thick, wave):
+    """Waves on an endless row of elements of length 1 against Timoshenko's beam, EI = rho A = 1; r in lengths."""
+    ratio, r2 = 3.12, thick**2
+    phi = 12 * r2 * ratio
+
+    def square(phi, mass):
+        stiff = np.array([[12, 6, -12, 6], [6, 4 + phi, -6, 2 - phi], [-12, -6, 12, -6], [6, 2 - phi, -6, 4 + phi]])
+        ends = np.exp(1j * wave)
+        row = np.array([[1, 0], [0, 1], [ends, 0], [0, ends]])
+        return eigh(row.conj().T @ stiff @ row / (1 + phi), row.conj().T @ mass @ row, eigvals_only=True)[0]
+
+    powers = np.array([1, phi, phi**2]) / (1 + phi) ** 2
+    sheared = np.tensordot(powers, sideways_mass(1.0) + r2 * rotary_mass(1.0), 1)
+    slender = square(0.0, sideways_mass(1.0)[0]) / wave**4
+    b, c = 1 + r2 * (1 + ratio) * wave**2, ratio * r2**2
+    exact = (b - np.sqrt(b**2 - 4 * c * wave**4)) / (2 * c)
+    shear = 1 - exact / wave**4
+    plain = square(phi, sheared) / exact / slender - 1
+    mended = square(phi, sheared + phi * coarse_mass(1.0)[0]) / exact / slender - 1
+    assert plain > 0.01 * shear  # what shear would be overrated by
+    assert abs(mended) < 0.2 * plain
