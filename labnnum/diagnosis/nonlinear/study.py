@@ -205,8 +205,6 @@ BEGINNING, STRONGER = 6, (1.15, 1.35)
 """Steps of a law's fits from the calm base, of which the best is carried on; and by how much it is raised there."""
 THOROUGH = 25
 """Steps of such a fit at most."""
-UNSURE = 1.5
-"""Chi-square per value that a law leaves above which it is fitted anew."""
 
 
 def anew(study: Study, tried: Sequence[Tried], scatter: Scatter) -> Tried:
@@ -293,7 +291,8 @@ def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter
 
 
 UNSURE = 3.0
-"""Chi-square per value that the winner leaves above which the motion recovered through its base is not relied on."""
+"""Chi-square per value that the winner leaves above which it is fitted anew, and the motion recovered through its base
+is not relied on."""
 FINER = 0.1
 """Part of what the base leaves below which a law is worth finer steps; they move the limit of dry friction."""
 FINE = 350
