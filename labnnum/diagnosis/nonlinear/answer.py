@@ -37,6 +37,7 @@ from labnnum.diagnosis.nonlinear.study import (
     of_known,
     refined,
     search,
+    yielding_kin,
 )
 from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
@@ -129,7 +130,8 @@ def answer(
             return None
         tried = [corners(found, tried, scatter, POOR), *tried[1:]]
         if not identified:  # the base of such a model is the quietest level's, and no law has bent it
-            tried[0] = fine_enough(found, anew(found, tried, scatter), scatter)
+            best = fine_enough(found, anew(found, tried, scatter), scatter)
+            tried = [*yielding_kin(found, best, scatter), *tried[1:]]
             tried = [*_ahead(nameless_kin(found, tried[0], scatter), tried[0], limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
         two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None
@@ -187,18 +189,6 @@ def answer(
         made, lying=lying[0], linearised=tuple(every_channel[: len(train)]),
         linearised_held_out=tuple(every_channel[len(train) :]),
     )  # fmt: skip
-
-
-def promised(
-    engine: Engine, parts: Split, places: Places, scatter: Scatter, span: tuple[float, float]
-) -> float:  # fmt: skip
-    """Chi-square per value that the best law along the recovered motion leaves; infinite where none is there."""
-    runs = [o.run for o in parts.train if o.run is not None]
-    i = quietest(runs)
-    point = base_point(engine, parts.train[i], scatter, span)
-    every = spots(engine, engine.site(places.nodes, places.elements, places.supports))
-    seen = explore(engine, point, runs, i, every, scatter, lines=FEW, carry_on=False)
-    return np.inf if seen is None else seen.level
 
 
 def parts_of(

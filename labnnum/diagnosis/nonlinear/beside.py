@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from labnnum.diagnosis.decide import named_of
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.fit import fit
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.explore import LEAVES, MISLED, STRAINED, calmed
 from labnnum.diagnosis.nonlinear.mended import Fault, faults_of
@@ -21,7 +23,7 @@ from labnnum.diagnosis.nonlinear.records import Split
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
-from labnnum.diagnosis.task import Candidate
+from labnnum.diagnosis.task import Candidate, choose_lines, data_of
 from labnnum.diagnosis.verdict import Diagnosis, Named
 from labnnum.errors import LabnnumError
 from labnnum.mechanisms.extended import Added, ExtendedStructure
@@ -31,6 +33,8 @@ PROMISING = 0.9
 """The same for what is found at the quietest level, where the law itself makes a part of what is left."""
 SURE = 0.99
 """Confidence in a fault of a channel without which a law explains what it does not with it."""
+STRUCTURAL = ("linear", "modal")
+"""Domains of mechanisms that are part of a structure."""
 ONE_LEVEL = 1.05
 """Ratio of two levels below which they are one."""
 WORTH = 0.75
@@ -49,7 +53,7 @@ def added_to(engine: Engine, rest: Diagnosis) -> Engine | None:
     decides. None where nothing was found, or something that is no part of a structure.
     """
     found = _found(rest)
-    if found is None or any(t.mechanism.domain != "linear" for t in found.terms):
+    if found is None or any(t.mechanism.domain not in STRUCTURAL for t in found.terms):
         return None
     wider = _with(engine, found)
     return None if wider is engine else wider
@@ -58,8 +62,8 @@ def added_to(engine: Engine, rest: Diagnosis) -> Engine | None:
 @dataclass(frozen=True, eq=False)
 class Beneath:
     """Engines with linear physics of the quietest level in their structure, one mechanism each, since one of several is
-    the law as that level sees it; the faults of channels there; and these as they are named where a law beside them
-    leaves nothing.
+    the law as that level sees it: the likely ones first; the faults of channels there; and these as they are named
+    where a law beside them leaves nothing.
     """
 
     engines: list[Engine]
@@ -67,16 +71,22 @@ class Beneath:
     named: tuple[Named, ...]
 
 
-def beneath(engine: Engine, quiet: Diagnosis) -> Beneath | None:
+def beneath(engine: Engine, quiet: Diagnosis, loud: Observation) -> Beneath | None:
     """The same from the quietest level alone, where most laws are next to linear: the engine with what was found in the
     structure, and the faults of channels. None where nothing was found.
+
+    Of several mechanisms that one is the law which the loudest level, `loud`, would change most.
     """
     found = _found(quiet, PROMISING)
     if found is None:
         return None
     faults = faults_of(found.terms, found.fit.point.terms)
-    linear = [i for i, t in enumerate(found.terms) if t.mechanism.domain == "linear"]
-    some = [linear] if len(linear) < 2 else [[i] for i in linear]
+    linear = [i for i, t in enumerate(found.terms) if t.mechanism.domain in STRUCTURAL]
+    if len(linear) < 2:
+        some = [linear]
+    else:
+        change = _changes(engine, found, quiet.detail["selection"].scatter, loud)
+        some = [[i] for i in sorted(linear, key=lambda i: change[i])]
     engines = [_with(engine, found, which) for which in some]
     if all(e is engine for e in engines) and not faults:
         return None
@@ -84,6 +94,43 @@ def beneath(engine: Engine, quiet: Diagnosis) -> Beneath | None:
     every = [named_of(found.fit, i, SURE, scatter) for i in range(len(found.terms))]
     wrong = {f.term for f in faults}
     return Beneath(engines, faults, tuple(n for n in every if n.term in wrong))
+
+
+def supposed(engine: Engine, rest: Diagnosis) -> Beneath | None:
+    """The same from what a linear search beside a law finds first, where that removes much of what is left and has no
+    name yet: the law's own errors, fitted without it, may be what stands in its way.
+    """
+    chain = rest.detail["selection"].chain
+    if len(chain) < 2 or len(chain[1].terms) != 1 or chain[1].cost > WORTH * chain[0].cost:
+        return None
+    found, scatter = chain[1], rest.detail["selection"].scatter
+    faults = faults_of(found.terms, found.fit.point.terms)
+    if faults:
+        return Beneath([engine], faults, (named_of(found.fit, 0, SURE, scatter),))
+    wider = _with(engine, found)
+    return None if wider is engine else Beneath([wider], [], ())
+
+
+def _changes(engine: Engine, found: Candidate, scatter: Scatter, loud: Observation) -> list[float]:
+    """How much each mechanism found at the quietest level would have to change for the loudest: the square of the
+    change of its parameters over its variance; zeros where that level's noise is not known.
+    """
+    if loud.frf.variance is None:
+        return [0.0 for _ in found.terms]
+    here, n = found.fit, engine.theta0.size
+    data = data_of(choose_lines(loud.frf), scatter)
+    there = fit(engine, data, found.terms, scatter, here.point.vector(), steps=CHANGING)
+    cuts = np.cumsum([0, *(t.n for t in found.terms)])
+    out = []
+    for a, b in pairwise(cuts):
+        step = (there.point.terms - here.point.terms)[a:b]
+        both = (there.covariance + here.covariance)[n + a : n + b, n + a : n + b]
+        out.append(float(step @ np.linalg.pinv(both) @ step))
+    return out
+
+
+CHANGING = 20
+"""Steps of the fit to the loudest level."""
 
 
 def misled(engine: Engine, parts: Split, scatter: Scatter, span: tuple[float, float]) -> bool:
@@ -117,7 +164,7 @@ def _with(engine: Engine, found: Candidate, which: Sequence[int] | None = None) 
     added, at = [], 0
     for i, t in enumerate(found.terms):
         values = zip(t.parameters, found.fit.point.terms[at : at + t.n], strict=True)
-        if t.mechanism.domain == "linear" and (which is None or i in which):
+        if t.mechanism.domain in STRUCTURAL and (which is None or i in which):
             added.append(Added(t.sought, tuple(_about(p, float(v)) for p, v in values)))
         at += t.n
     while added:

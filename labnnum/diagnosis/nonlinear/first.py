@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.answer import answer, parts_of, promised
-from labnnum.diagnosis.nonlinear.beside import Beneath, added_to, beneath, misled, quietest_of, strained
+from labnnum.diagnosis.nonlinear.answer import answer, parts_of
+from labnnum.diagnosis.nonlinear.beside import Beneath, added_to, beneath, misled, quietest_of, strained, supposed
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
 from labnnum.diagnosis.nonlinear.decision import (
     EQUAL,
@@ -23,7 +23,7 @@ from labnnum.diagnosis.nonlinear.decision import (
     NonlinearAnswer,
 )
 from labnnum.diagnosis.nonlinear.detect import CHANGE
-from labnnum.diagnosis.nonlinear.explore import NOISY
+from labnnum.diagnosis.nonlinear.explore import NOISY, STRAINED
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
@@ -186,18 +186,19 @@ class _Whole:
         """The linear search on the quietest level alone, and what of it goes into the model."""
         self.progress("searching for linear physics at the quietest level")
         quiet = self.again(quietest_of(self.usable, self.train), depth=2)
-        return quiet, beneath(self.engine, quiet)
+        return quiet, beneath(self.engine, quiet, max(self.usable, key=lambda o: o.level))
 
     def _above(self, under: Beneath) -> NonlinearAnswer | None:
         """What the law is with linear physics of the quietest level in the model, and faults of channels off."""
         before = self.train, self.test, self.usable
         self._mend(under.faults)
-        on = under.engines[0]
-        several = len(under.engines) > 1
-        parts = parts_of(self.engine, self.train, self.test, self.usable, self.band) if several else None
-        if parts is not None:
-            on = min(under.engines, key=lambda e: promised(e, parts, self.places, self.scatter, self.band))
-        made = self.law(on, suspicious=False)
+        made: NonlinearAnswer | None = None
+        for on in under.engines:
+            one = self.law(on, suspicious=False)
+            if made is None or (one is not None and one.misfit < made.misfit):
+                made = one
+            if made is not None and made.named and better(made, NOISY):
+                break
         self.train, self.test, self.usable = before
         return made
 
@@ -240,7 +241,7 @@ class _Whole:
             rest = self.again(self.observations, self.held_out, catalogue=())
             return merged(found, rest, self.gate.named, self.signs, self.observations)
         self.progress("searching for linear physics beside it")
-        rest = self._rest(found)
+        found, rest = self._supposing(found, self._rest(found))
         unsure = self.periodic and found.lying is None and found.misfit > UNSURE
         doubted = _doubted(rest, self.train) if unsure else None
         if doubted is not None and not self.faults:
@@ -262,30 +263,69 @@ class _Whole:
         before = () if told or not found.named else self.of_channels
         return merged(found, rest, self.gate.named, self.signs, self.observations, before)
 
-    def _rest(self, found: NonlinearAnswer) -> Diagnosis:
-        """The linear search on the FRFs from which the law's share is taken, as far as it may find anything there."""
+    def _supposing(self, found: NonlinearAnswer, rest: Diagnosis) -> tuple[NonlinearAnswer, Diagnosis]:
+        """The law and the linear search beside it, both again with what that search found in the model, where it found
+        something that has no name yet; what they were where that does not make a name of it.
+        """
+        open_ = bool(found.named) and found.lying is None and rest.verdict == "unexplained" and not rest.named
+        under = supposed(self.engine, rest) if open_ and not self.faults and not self.nearly else None
+        if under is None:
+            return found, rest
+        self.progress("searching for the law with that in the model")
+        before = self.train, self.test, self.usable
+        self._mend(under.faults)
+        second = self.law(under.engines[0], suspicious=False)
+        if second is not None and second.named and second.linearised and second.misfit < SAME * found.misfit:
+            if not under.faults:
+                again = self._rest(second)
+                if again.named:
+                    return second, again
+            else:
+                again = self.again(second.linearised, second.linearised_held_out, beside=True, catalogue=CHANNELS)
+                if not again.named and _left(again) < HALF * _left(rest):
+                    self.faults, self.of_channels = under.faults, under.named
+                    return second, again
+        self.train, self.test, self.usable = before
+        return found, self._rest(found, supposing=False) if _explained(found) else rest
+
+    def _rest(self, found: NonlinearAnswer, supposing: bool = True) -> Diagnosis:
+        """The linear search on the FRFs from which the law's share is taken, as far as it may find anything there.
+
+        `supposing`: whether what it finds, if that has no name yet, is put into the model before anything else.
+        """
         sure = bool(found.named) or found.reason in (KNOWN, EQUAL, *FOUND)
         explained = sure and found.misfit < EXPLAINED and found.lying is None
         near = found.misfit < MISFIT and found.lying is None
         hid = found.study.engine is not self.engine  # one mechanism kept the law from being named: that one is sought
         own = sure and not (hid or self.nearly) and found.lying is None  # the search begins with what the law leaves
         spent = not explained and own and hopeless_beside(found, self.scatter, self.limits)
+        limits = replace(self.limits, misfit=max(self.limits.misfit, MISFIT))  # the law's own errors are in it too
         kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
+        if explained:
+            kind["limits"] = limits
         parts = (found.linearised, found.linearised_held_out)
         measured = [[mended(o, self.faults, back=True) for o in part] for part in parts]
-        if not explained:
+        if not explained or hid:
             return self.again(*measured, **kind)
-        # a law and the errors of a sound model may excuse a channel's fault
-        rest = self.again(*parts, beside=True, catalogue=CHANNELS)
-        if not rest.named and rest.verdict not in ("consistent", "parameters"):
-            rest, self.of_channels = self.again(*measured), ()  # the law's errors excused what a channel has wrong
-        return rest
+        if supposing:
+            # a law and the errors of a sound model may excuse a channel's fault
+            last = found.laws[-1].made
+            paid = last.prior_part > STRAINED * last.n_base  # the base stands in for something linear
+            rest = self.again(*parts, beside=True, limits=limits, **({} if paid else {"catalogue": CHANNELS}))
+            if rest.named or rest.verdict in ("consistent", "parameters"):
+                return rest
+            if found.named and supposed(self.engine, rest) is not None and not (self.faults or self.nearly):
+                return rest
+        self.of_channels = ()
+        return self.again(*measured, limits=limits)  # the law's errors excused what a channel has wrong
 
 
 UNSURE, HALF = 1.5, 0.5
 """Chi-square per value that a law leaves above which a channel may lie; part of it to which it must come without it."""
 CHANNELS = tuple(m for m in CATALOGUE if m.domain == "channel")
 """Mechanisms that are asked for where a law leaves nothing."""
+SAME = 1.1
+"""Part of what a law leaves that it may leave where linear physics that it did not know of is in the model."""
 BETTER, NEARER = 0.8, 0.5
 """Part of what a law leaves to which it must bring it where linear physics was put beside it; and the part of that
 which one without a name may leave."""
@@ -309,6 +349,11 @@ def _clear(found: NonlinearAnswer) -> bool:
     """Whether a strong law was found, which the quietest level can tell nothing about."""
     base = found.study.base.data_part / found.study.base.count
     return bool(found.named) and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
+
+
+def _left(rest: Diagnosis) -> float:
+    """What the structure as it is leaves in a linear search."""
+    return float(rest.detail["selection"].chain[0].cost)
 
 
 def _explained(found: NonlinearAnswer) -> bool:

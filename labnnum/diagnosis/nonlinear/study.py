@@ -364,6 +364,37 @@ def fine_enough(study: Study, best: Tried, scatter: Scatter) -> Tried:
     return best
 
 
+def yielding_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
+    """The law, and in its place, where it yields, hysteresis or sliders whose limits are spread; the best first.
+
+    One that yields at once and leaves noise needs no other; what yields bit by bit has two names, and both are asked.
+    """
+    soft = best.mechanism in SLIDING and best.simulated and not best.more
+    if not soft:
+        return [best]
+    far = {o.mechanism for o in study.tried if o.simulated and o.spot.place == best.spot.place and _behind(o, best)}
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
+    made = [
+        rounded(bench, best, BEGINNING) if best.mechanism != "hysteresis" and "hysteresis" not in far else None,
+        spread(bench, best, BEGINNING) if best.mechanism != "sliders" and "sliders" not in far else None,
+    ]
+    steps = steps_of(best.made.terms)
+    kin = [finely_carried(bench, t, steps) for t in made if t is not None and not _behind(t, best)]
+    return plainer(sorted([best, *kin], key=lambda t: t.cost))
+
+
+def _behind(t: Tried, best: Tried) -> bool:
+    """Whether a fit, on other lines perhaps, is so far behind the best that it need not be carried on."""
+    return t.cost / t.made.count > NEAR * best.cost / best.made.count
+
+
+def finely_carried(bench: Bench, t: Tried, steps: int) -> Tried:
+    """A simulated fit carried on with as many steps to a period."""
+    terms = [replace(one, last=True, steps=steps) for one in t.made.terms]
+    joint = Joint(bench.engine, bench.point, bench.runs, terms, bench.scatter, bench.lines)
+    return tried_fit(joint, t.made.x, t.made.orbits, t.lead, LONG, more=t.more) or t
+
+
 ALIKE = 0.9
 """Correlation of a law's force with that of one without a name, along its own motion, from which that one is tried."""
 
