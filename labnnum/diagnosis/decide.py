@@ -174,6 +174,8 @@ def _verdict(
     whole = {node for _, p in answers for node in (p.id, p.to) if node is not None}
     if len(answers) > 2 and len(whole) <= 2 and all(p.kind != "channel" for _, p in answers):
         return "unexplained", (), "it takes several mechanisms between two nodes: the law there is another"
+    if len(answers) > 2 and not settled(final.fit, data, limits):
+        return "unexplained", (), "three mechanisms leave more than a sound structure does: they may stand for another"
     if lead < limits.name and len(selection.chain) == 2:
         return "unexplained", (), "two mechanisms explain it equally well"
     named = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,7 @@ from labnnum.diagnosis.task import (
 )
 from labnnum.diagnosis.unnamed import told_all, told_by, unnamed
 from labnnum.diagnosis.verdict import Limits
+from labnnum.errors import ModelError
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.changes import Freed
@@ -270,8 +272,9 @@ def _in_its_place(task: Task, found: Sequence[Candidate], first: Candidate) -> C
     alone = []
     for c in found[:2]:
         n = len(c.terms)
-        alone.append(with_terms(task, c, (*range(n - 2), n - 1)))
-    best = min(alone, key=lambda c: c.cost)
+        with suppress(ModelError):  # there may be no structure that has the second alone
+            alone.append(with_terms(task, c, (*range(n - 2), n - 1)))
+    best = min(alone, key=lambda c: c.cost, default=first)
     return best if best.cost < first.cost - task.limits.name else None
 
 
@@ -289,7 +292,10 @@ def _revisited(
     """
     held, last, found_anew = len(chain[0].terms), chain[-1], False
     for _ in range(len(stages) - 1):
-        before = with_terms(task, last, (*range(held), *range(held + 1, len(last.terms))))  # the eldest goes
+        try:
+            before = with_terms(task, last, (*range(held), *range(held + 1, len(last.terms))))  # the eldest goes
+        except ModelError:
+            break
         found = stage_of(task, still_open(terms, before.terms), before, width)
         if not found or found[0].cost > last.cost - task.limits.name:
             break

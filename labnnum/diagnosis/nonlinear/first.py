@@ -32,6 +32,8 @@ from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
 from labnnum.mechanisms import CATALOGUE
+from labnnum.mechanisms.base import Mechanism
+from labnnum.mechanisms.extended import ExtendedStructure
 from labnnum.structures.modal import ModalStructure
 
 if TYPE_CHECKING:
@@ -301,8 +303,8 @@ class _Whole:
         spent = not explained and own and hopeless_beside(found, self.scatter, self.limits)
         limits = replace(self.limits, misfit=max(self.limits.misfit, MISFIT))  # the law's own errors are in it too
         kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
-        if explained:
-            kind["limits"] = limits
+        if explained and hid:  # what is in the model already has to be found there, and nothing else
+            kind |= {"limits": limits, "catalogue": (*_held(found), *CHANNELS)}
         parts = (found.linearised, found.linearised_held_out)
         measured = [[mended(o, self.faults, back=True) for o in part] for part in parts]
         if not explained or hid:
@@ -349,6 +351,12 @@ def _clear(found: NonlinearAnswer) -> bool:
     """Whether a strong law was found, which the quietest level can tell nothing about."""
     base = found.study.base.data_part / found.study.base.count
     return bool(found.named) and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
+
+
+def _held(found: NonlinearAnswer) -> tuple[Mechanism, ...]:
+    """The mechanisms in the structure on which a law was found."""
+    structure = found.study.engine.structure
+    return tuple(a.term.mechanism for a in structure.added) if isinstance(structure, ExtendedStructure) else ()
 
 
 def _left(rest: Diagnosis) -> float:
