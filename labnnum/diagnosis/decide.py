@@ -15,6 +15,7 @@ from labnnum.diagnosis.runs import nonlinear_signs
 from labnnum.diagnosis.scale import with_scale
 from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.task import Candidate, Selection, choose_lines, dispersion, settled
+from labnnum.diagnosis.unnamed import told_all
 from labnnum.diagnosis.verdict import Alternative, Diagnosis, Limits, Named
 from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.diagnosis.worth import Judge, alarmed, improves, missing, one_law, spoilt, worthwhile
@@ -152,9 +153,9 @@ def _verdict(
     lead = _lead(engine, data, selection.scatter, stage, best, limits.name * excess) / excess
     law = selection.general
     if law is not None and len(selection.chain) == 2:
-        if (best.cost - law.cost) / max(excess, 1.0) > max(
-            limits.alarm, limits.behind * total * excess / max(excess, 1.0)
-        ):
+        behind = (best.cost - law.cost) / max(excess, 1.0)
+        all_of_it = told_all(law, selection.chain, data, limits)  # and the name leaves more than a sound structure does
+        if behind > (limits.alarm if all_of_it else max(limits.alarm, limits.behind * total * min(excess, 1.0))):
             return "unexplained", (), "a general law at one place explains far more than any named mechanism"
     elif law is not None:
         # beside one law that explains all several names must be clearly the simpler, beside another not clearly worse

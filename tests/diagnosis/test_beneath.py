@@ -96,6 +96,18 @@ def test_a_softer_joint_does_not_hide_a_law():
     assert named["joint-stiffness"].value[0] == pytest.approx(-0.4, abs=0.03)
 
 
+def test_a_softer_joint_does_not_hide_a_slider_that_sticks():
+    """At the quietest level both are joints that differ; the slider is the one that the loudest level would change."""
+    links = [Link("1", "ground", "k1", 4.0), Link("1", "2", 1000.0, 4.0), Link("2", "3", 1000.0, 4.0)]
+    softer = Chain(chain().masses, (*links, Link("3", "4", 600.0, 4.0)), chain().parameters)
+    found = diagnose(chain(), runs([Element("jenkins", joint_23(), (800.0, 3.0))], softer))
+    named = {n.term.mechanism.id: n for n in found.named}
+    assert set(named) == {"stick-slip", "joint-stiffness"}, found.summary
+    assert named["stick-slip"].value[0] == pytest.approx(800.0, rel=0.03)
+    assert named["joint-stiffness"].value[0] == pytest.approx(-0.4, abs=0.03)
+    assert str(named["joint-stiffness"].place) == "element 3-4"
+
+
 def test_what_is_linear_at_every_level_gets_no_law():
     """Exchanged channels alone: the signs are the converter's."""
     found = diagnose(chain(), [exchanged(o) for o in runs([], chain())])

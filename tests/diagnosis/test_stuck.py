@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.bench import Bench
+from labnnum.diagnosis.nonlinear.bench import Bench, Study
 from labnnum.diagnosis.nonlinear.bounds import frf_least, linear_least
 from labnnum.diagnosis.nonlinear.decision import lead_over
 from labnnum.diagnosis.nonlinear.discrete import feedback
 from labnnum.diagnosis.nonlinear.explore import engine_start, looked
 from labnnum.diagnosis.nonlinear.fitting import GROUPS
-from labnnum.diagnosis.nonlinear.locate import spots
-from labnnum.diagnosis.nonlinear.march import CODES
+from labnnum.diagnosis.nonlinear.locate import Lead, spots
+from labnnum.diagnosis.nonlinear.march import CODES, N_P
 from labnnum.diagnosis.nonlinear.problem import Acting, _fine
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.nonlinear.stuck import beside_spring, own_stiffness, quiet_data, stuck
+from labnnum.diagnosis.nonlinear.study import yielding_kin
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import (
@@ -168,3 +169,17 @@ def test_leads_of_what_is_no_noise_count_groups_of_lines():
     assert lead_over(20000.0, 20600.0, 20.0, True) == pytest.approx(GROUPS * np.log(1.03))
     assert lead_over(20000.0, 60000.0, 20.0, True) > 40.0
     assert lead_over(20000.0, np.inf, 20.0, True) == np.inf
+
+
+def test_what_yields_bit_by_bit_is_asked_for_under_both_its_names():
+    """Hysteresis, of which sliders with spread limits explain nearly all."""
+    bench, _, every = _bench(Element("bouc-wen", joint_23(), (800.0, 0.5 / 0.004, 0.5 / 0.004, 1.0)), (0.3, 1.0, 3.0))
+    spot = next(s for s in every if s.place.id == "2" and s.place.to == "3")
+    p = np.zeros(N_P)
+    p[:3] = 800.0, 3.2, 0.8
+    sliders = bench.law_alone(engine_start(bench.joint([])), Lead(spot, "sliders", p, 0.0), 10)
+    study = Study(bench.engine, bench.point, bench.runs, sliders.made, sliders.made, (sliders,), None, ())
+    best, *others = yielding_kin(study, sliders, Scatter())
+    assert best.mechanism == "hysteresis"
+    assert best.made.law(0)[0][0] == pytest.approx(800.0, rel=0.1)
+    assert best.cost < 0.1 * min(t.cost for t in others)

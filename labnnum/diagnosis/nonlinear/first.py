@@ -199,7 +199,7 @@ class _Whole:
             one = self.law(on, suspicious=False)
             if made is None or (one is not None and one.misfit < made.misfit):
                 made = one
-            if made is not None and made.named and better(made, NOISY):
+            if made is not None and made.named:
                 break
         self.train, self.test, self.usable = before
         return made
@@ -303,7 +303,7 @@ class _Whole:
         spent = not explained and own and hopeless_beside(found, self.scatter, self.limits)
         limits = replace(self.limits, misfit=max(self.limits.misfit, MISFIT))  # the law's own errors are in it too
         kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
-        if explained and hid:  # what is in the model already has to be found there, and nothing else
+        if (explained or found.named) and hid:  # what is in the model already has to be found there, and nothing else
             kind |= {"limits": limits, "catalogue": (*_held(found), *CHANNELS)}
         parts = (found.linearised, found.linearised_held_out)
         measured = [[mended(o, self.faults, back=True) for o in part] for part in parts]
@@ -340,7 +340,8 @@ def better(second: NonlinearAnswer | None, most: float) -> bool:
 
 def _instead(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
     """Whether a law beside linear physics takes the place of one without; none without a name of one that has one."""
-    return bool(second.named or not found.named) and better(second, BETTER * found.misfit)
+    names = bool(second.named) and not found.named and second.misfit < found.misfit
+    return names or (bool(second.named or not found.named) and better(second, BETTER * found.misfit))
 
 
 CLEAR = 0.01
