@@ -26,6 +26,7 @@ from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.task import Candidate, choose_lines, data_of
 from labnnum.diagnosis.verdict import Diagnosis, Named
 from labnnum.errors import LabnnumError
+from labnnum.mechanisms.base import Term
 from labnnum.mechanisms.extended import Added, ExtendedStructure
 from labnnum.parameters import Parameter
 
@@ -33,8 +34,6 @@ PROMISING = 0.9
 """The same for what is found at the quietest level, where the law itself makes a part of what is left."""
 SURE = 0.99
 """Confidence in a fault of a channel without which a law explains what it does not with it."""
-STRUCTURAL = ("linear", "modal")
-"""Domains of mechanisms that are part of a structure."""
 ONE_LEVEL = 1.05
 """Ratio of two levels below which they are one."""
 WORTH = 0.75
@@ -53,7 +52,7 @@ def added_to(engine: Engine, rest: Diagnosis) -> Engine | None:
     decides. None where nothing was found, or something that is no part of a structure.
     """
     found = _found(rest)
-    if found is None or any(t.mechanism.domain not in STRUCTURAL for t in found.terms):
+    if found is None or not all(_structural(t) for t in found.terms):
         return None
     wider = _with(engine, found)
     return None if wider is engine else wider
@@ -81,7 +80,7 @@ def beneath(engine: Engine, quiet: Diagnosis, loud: Observation) -> Beneath | No
     if found is None:
         return None
     faults = faults_of(found.terms, found.fit.point.terms)
-    linear = [i for i, t in enumerate(found.terms) if t.mechanism.domain in STRUCTURAL]
+    linear = [i for i, t in enumerate(found.terms) if _structural(t)]
     if len(linear) < 2:
         some = [linear]
     else:
@@ -164,7 +163,7 @@ def _with(engine: Engine, found: Candidate, which: Sequence[int] | None = None) 
     added, at = [], 0
     for i, t in enumerate(found.terms):
         values = zip(t.parameters, found.fit.point.terms[at : at + t.n], strict=True)
-        if t.mechanism.domain in STRUCTURAL and (which is None or i in which):
+        if _structural(t) and (which is None or i in which):
             added.append(Added(t.sought, tuple(_about(p, float(v)) for p, v in values)))
         at += t.n
     while added:
@@ -178,6 +177,11 @@ def _with(engine: Engine, found: Candidate, which: Sequence[int] | None = None) 
         wider.zeta0[:n] = engine.zeta0[:n]  # what moves in a support has no damping of its own, and modes no less
         return wider
     return engine
+
+
+def _structural(t: Term) -> bool:
+    """Whether a term is part of the structure: no channel, and no mode of something else, which a law may look like."""
+    return t.mechanism.domain == "linear" or (t.mechanism.domain == "modal" and t.fitted.whole is not None)
 
 
 def _about(p: Parameter, value: float) -> Parameter:

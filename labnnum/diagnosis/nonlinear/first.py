@@ -32,7 +32,7 @@ from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
 from labnnum.mechanisms import CATALOGUE
-from labnnum.mechanisms.base import Mechanism
+from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.extended import ExtendedStructure
 from labnnum.structures.modal import ModalStructure
 
@@ -164,7 +164,7 @@ class _Whole:
                 second = self._above(under)
                 if quiet.named and (second is None or second.reason == UNCONFIRMED):
                     return None  # with that in the model there is nothing nonlinear
-        if not (sure or better(second, NOISY)):
+        if not (sure or (better(second, NOISY) and not _twice(second))):
             whole = self.law(self.engine, known=self.known, strong=False if early else None)
             if found is None or (whole is not None and whole.misfit < found.misfit):
                 found = whole
@@ -304,7 +304,9 @@ class _Whole:
         limits = replace(self.limits, misfit=max(self.limits.misfit, MISFIT))  # the law's own errors are in it too
         kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
         if (explained or found.named) and hid:  # what is in the model already has to be found there, and nothing else
-            kind |= {"limits": limits, "catalogue": (*_held(found), *CHANNELS)}
+            laws = [n.place for n in found.named]
+            held = [t.mechanism for t in _held(found) if not any(_same_place(t.place, p) for p in laws)]
+            kind |= {"limits": limits, "catalogue": (*held, *CHANNELS)}
         parts = (found.linearised, found.linearised_held_out)
         measured = [[mended(o, self.faults, back=True) for o in part] for part in parts]
         if not explained or hid:
@@ -354,10 +356,22 @@ def _clear(found: NonlinearAnswer) -> bool:
     return bool(found.named) and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
 
 
-def _held(found: NonlinearAnswer) -> tuple[Mechanism, ...]:
+def _held(found: NonlinearAnswer) -> list[Term]:
     """The mechanisms in the structure on which a law was found."""
     structure = found.study.engine.structure
-    return tuple(a.term.mechanism for a in structure.added) if isinstance(structure, ExtendedStructure) else ()
+    return [a.term for a in structure.added] if isinstance(structure, ExtendedStructure) else []
+
+
+def _twice(found: NonlinearAnswer | None) -> bool:
+    """Whether a law acts where its structure holds a mechanism already, which may be the law as the quietest level sees
+    it: a slider that sticks is a spring.
+    """
+    return found is not None and any(_same_place(t.place, n.place) for t in _held(found) for n in found.named)
+
+
+def _same_place(a: Place, b: Place) -> bool:
+    """Whether two places are one, an element and the joint in it being the same."""
+    return {a.id, a.to} == {b.id, b.to}
 
 
 def _left(rest: Diagnosis) -> float:
