@@ -22,6 +22,7 @@ import numpy as np
 
 from labnnum.diagnosis.diagnose import diagnose
 from labnnum.diagnosis.observe import Observation
+from labnnum.frf import Frf
 from labnnum.mechanisms import CATALOGUE
 from sessions.diagnose import observations_of
 from sessions.model import Model, read_model
@@ -35,16 +36,26 @@ LINES = (60, 120, 240, 480)
 
 def _cut(o: Observation, rows: Sequence[int] | None = None, lines: int | None = None) -> Observation:
     """The observation with some of its rows, and of its lines at even steps."""
-    f = o.frf
+    slope, distortion = o.drift_slope, o.distortion
+    if rows is not None:
+        n = len(o.frf.outputs)
+        distortion = {k: v[list(rows)] if v.size == n else v for k, v in distortion.items()}
+    return replace(
+        o, frf=_frf(o.frf, rows, lines), drift_slope=None if slope is None else _frf(slope, rows, lines),
+        distortion=distortion,
+    )  # fmt: skip
+
+
+def _frf(f: Frf, rows: Sequence[int] | None, lines: int | None) -> Frf:
     if lines is not None:
         f = f.at(np.linspace(0, f.frequency.size - 1, min(lines, f.frequency.size)).astype(int))
-    if rows is not None:
-        pick = list(rows)
-        f = replace(
-            f, value=f.value[pick], outputs=tuple(f.outputs[i] for i in pick),
-            variance=None if f.variance is None else f.variance[pick],
-        )  # fmt: skip
-    return replace(o, frf=f)
+    if rows is None:
+        return f
+    pick = list(rows)
+    return replace(
+        f, value=f.value[pick], outputs=tuple(f.outputs[i] for i in pick),
+        variance=None if f.variance is None else f.variance[pick],
+    )  # fmt: skip
 
 
 def _seconds(model: Model, observations: Sequence[Observation], repeats: int, **options: object) -> float:

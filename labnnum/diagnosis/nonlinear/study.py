@@ -388,7 +388,7 @@ def _behind(t: Tried, best: Tried) -> bool:
     return t.cost / t.made.count > NEAR * best.cost / best.made.count
 
 
-def finely_carried(bench: Bench, t: Tried, steps: int) -> Tried:
+def finely_carried(bench: Bench, t: Tried, steps: float) -> Tried:
     """A simulated fit carried on with as many steps to a period."""
     terms = [replace(one, last=True, steps=steps) for one in t.made.terms]
     joint = Joint(bench.engine, bench.point, bench.runs, terms, bench.scatter, bench.lines)
