@@ -49,6 +49,7 @@ def diagnose(
     nonlinear: bool = True,
     beside: bool = False,
     depth: int = 3,
+    hint: bool = False,
 ) -> Diagnosis:
     """Verdict on whether `structure` explains the observations, and if not, what is missing and where.
 
@@ -74,6 +75,8 @@ def diagnose(
         Whether such a law was taken out of these observations: where the model explains the rest, nothing is sought.
     depth : int
         Linear mechanisms that are sought, at most.
+    hint : bool
+        Whether the answer only says where to go on: the search ends where one mechanism leaves far more than noise.
 
     Returns
     -------
@@ -125,6 +128,7 @@ def diagnose(
         initial=initial,
         beside=beside,
         depth=depth,
+        hint=hint,
         progress=progress,
     )
     progress("weighing the answer")

@@ -127,7 +127,7 @@ def with_noise_found(task: Task, held: Sequence[Term], start: Point) -> Data:
 def select(
     engine: Engine, frf: Frf, terms: Sequence[Term], general: Sequence[Term], scatter: Scatter, limits: Limits,
     *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 8,
-    beside: bool = False, progress: Callable[[str], None] = lambda text: None,
+    beside: bool = False, hint: bool = False, progress: Callable[[str], None] = lambda text: None,
 ) -> Selection:  # fmt: skip
     """Add the best term while it pays (`limits`), `depth` at most.
 
@@ -148,6 +148,8 @@ def select(
     beside : bool
         Whether something was found already, so that a base that explains what is left ends the search as one with a
         mechanism does.
+    hint : bool
+        Whether the search ends where one mechanism leaves far more than noise.
     """
     lines = choose_lines(frf)
     data = data_of(lines, scatter)
@@ -178,6 +180,8 @@ def select(
         left = still_open(terms, chain[-1].terms)
         told = stage > 0 and told_all(law, chain, data, limits)
         if (stage or beside) and not told and finished(task, left, chain[-1]):
+            break
+        if stage and hint and far(chain[-1], data):
             break
         progress(f"searching the catalogue for mechanism {stage + 1}")
         found = stage_of(task, left, chain[-1], width)
@@ -231,6 +235,15 @@ def select(
         progress("looking again at what came first")
         chain, stages = _revisited(task, terms, chain, stages[: len(chain) - 1], width)
     return Selection(tuple(chain), tuple(stages), law, gains, task.scatter, task.data)
+
+
+MUCH = 10.0
+"""Chi-square per value above which a model leaves far more than noise."""
+
+
+def far(c: Candidate, data: Data) -> bool:
+    """Whether a model leaves so much that it says nothing."""
+    return c.fit.data_part > MUCH * 2 * data.value.size
 
 
 FAR = 0.1

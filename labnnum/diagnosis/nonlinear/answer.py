@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
@@ -20,7 +21,8 @@ from labnnum.diagnosis.nonlinear.decision import (
     unsimulated,
 )
 from labnnum.diagnosis.nonlinear.detect import signs
-from labnnum.diagnosis.nonlinear.explore import NOISY, Prospect, explore
+from labnnum.diagnosis.nonlinear.effort import tired
+from labnnum.diagnosis.nonlinear.explore import NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
@@ -48,11 +50,22 @@ from labnnum.diagnosis.verdict import Limits
 from labnnum.structures.modal import ModalStructure
 
 
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Laws that were found on another engine, in several forms; a base vector to begin from; and the chi-square per
+    value above which it is not worth going on with them.
+    """
+
+    leads: tuple[tuple[Lead, ...], ...]
+    base: NDArray[np.float64] | None
+    most: float
+
+
 def answer(
     engine: Engine, train: Sequence[Observation], test: Sequence[Observation], places: Places, scatter: Scatter,
     limits: Limits, span: tuple[float, float], progress: Callable[[str], None] = lambda text: None,
     others: Sequence[Observation] = (), known: Sequence[Lead] = (), nearly: float = 0.0, doubted: int | None = None,
-    suspicious: bool = True, strong: bool | None = None,
+    suspicious: bool = True, strong: bool | None = None, given: Given | None = None,
 ) -> NonlinearAnswer | None:  # fmt: skip
     """What nonlinear physics the observations show; None where they show none.
 
@@ -76,6 +89,8 @@ def answer(
         Whether responses are left out one after the other where a law leaves too much.
     strong : bool, optional
         Whether laws that are strong at the lowest level too are looked for only, or not again.
+    given : Given, optional
+        Laws that were found on another engine, which are not looked for but fitted.
     """
     identified = isinstance(engine.structure, ModalStructure)
     parts = parts_of(engine, train, test, others, span)
@@ -111,8 +126,14 @@ def answer(
             unnamed=not identified,
         )
 
-    seen = explore(engine, point, runs, i, every, scatter, unnamed=not identified, strong=strong, progress=progress)
+    if given is not None:
+        progress("fitting the law as it is without that in the model")
+        seen = resumed(engine, point, runs, i, every, scatter, given.leads, given.base)
+    else:
+        seen = explore(engine, point, runs, i, every, scatter, unnamed=not identified, strong=strong, progress=progress)
     if seen is None and strong:
+        return None
+    if given is not None and (seen is None or seen.level > given.most):
         return None
     if seen is not None and doubted is None and not nearly and seen.idle:
         return None
@@ -139,7 +160,7 @@ def answer(
 
     def both(seen: Prospect, one: Tried | None = None) -> tuple[Study, list[Tried]] | None:
         """Two laws that were sought together, where they explain what the best `one` does not."""
-        pairs = paired(seen, every, progress)
+        pairs = [] if tired() else paired(seen, every, progress)
         if not pairs:
             return None
         progress("comparing pairs of nonlinear laws")
@@ -155,13 +176,16 @@ def answer(
         lying = None if again is None else (doubted, again)
     else:
         far = seen is not None and seen.hopeless and not identified
-        if seen is not None and not far:
+        if seen is not None and given is not None and seen.near[0].more:
+            done = study_of(seen, list(seen.near), scatter, limits.further)
+        elif seen is not None and not far:
             done = pursued(seen)
         elif seen is not None and not identified:
             done = both(seen)
             far = done is None
         last = None if done is None else done[1][-1].made
-        if suspicious and not (whole or nearly) and (last is None or last.data_part > POOR * last.count):
+        doubtful = last is None or last.data_part > POOR * last.count
+        if suspicious and not (whole or nearly or tired()) and doubtful:
             lying = suspect(train, seen, exploring)
         if lying is None and seen is not None and far:
             return unsimulated(seen, train, test, scatter)

@@ -15,7 +15,8 @@ from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.march import N_P
-from labnnum.diagnosis.nonlinear.problem import Joint
+from labnnum.diagnosis.nonlinear.orbit import CLOSED
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError, ModelError
@@ -98,6 +99,8 @@ class Bench:
     runs: tuple[Run, ...]
     scatter: Scatter
     lines: tuple[Lines, ...]
+    closing: float = CLOSED
+    """Relative gap of a period, or change from march to march, at which a steady state counts as found."""
 
     def on(self, most: int) -> Bench:
         """The same with `most` lines a run."""
@@ -105,7 +108,10 @@ class Bench:
 
     def joint(self, leads: Sequence[Lead]) -> Joint:
         """The objective of laws that are simulated."""
-        return Joint(self.engine, self.point, self.runs, [lead.acting() for lead in leads], self.scatter, self.lines)
+        return self._joint([lead.acting() for lead in leads])
+
+    def _joint(self, terms: Sequence[Acting]) -> Joint:
+        return Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines, closing=self.closing)
 
     def follow(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
         """A law fitted along the recovered motion, from the base vector `x`."""
@@ -126,7 +132,7 @@ class Bench:
         finer steps where it is the `last` fit.
         """
         terms = [replace(lead.acting(), last=last) for lead in of_fits(one)]
-        joint = Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines)
+        joint = self._joint(terms)
         begun = marched_from(joint, one.made.x, one.made.orbits)
         made = tried_fit(joint, one.made.x, begun, one.lead, steps, more=one.more)
         return made or tried_fit(joint, one.made.x, [None] * len(self.runs), one.lead, steps, more=one.more)
@@ -145,10 +151,7 @@ class Bench:
 
     def again(self, x: NDArray, one: Tried, lead: Lead, steps: int) -> Tried | None:
         """A simulated fit from another base vector and other parameters of its law, with as fine steps."""
-        joint = Joint(
-            self.engine, self.point, self.runs, [replace(lead.acting(), last=one.made.terms[0].last)], self.scatter,
-            self.lines,
-        )  # fmt: skip
+        joint = self._joint([replace(lead.acting(), last=one.made.terms[0].last)])
         return tried_fit(joint, joint.start(x), [None] * len(self.runs), one.lead, steps)
 
     def law_alone(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
@@ -161,7 +164,7 @@ class Bench:
     def carry_on(self, one: Tried, steps: int, *, always: bool = False, last: bool = True) -> Tried:
         """A simulated fit carried on, on other lines perhaps; with finer steps where it is the `last`."""
         terms = [replace(t, last=last) for t in one.made.terms]
-        joint = Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines)
+        joint = self._joint(terms)
         return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always, more=one.more) or one
 
 

@@ -7,7 +7,7 @@ law is sought once more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,17 +16,21 @@ import numpy as np
 from labnnum.diagnosis.decide import named_of
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import fit
+from labnnum.diagnosis.linear import far
+from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
-from labnnum.diagnosis.nonlinear.explore import LEAVES, MISLED, STRAINED, calmed
+from labnnum.diagnosis.nonlinear.explore import LEAVES, LINES, MISLED, STRAINED, calmed
+from labnnum.diagnosis.nonlinear.locate import recover, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, faults_of
 from labnnum.diagnosis.nonlinear.records import Split
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.task import Candidate, choose_lines, data_of
 from labnnum.diagnosis.verdict import Diagnosis, Named
 from labnnum.errors import LabnnumError
-from labnnum.mechanisms.base import Term
+from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.extended import Added, ExtendedStructure
 from labnnum.parameters import Parameter
 
@@ -70,22 +74,28 @@ class Beneath:
     named: tuple[Named, ...]
 
 
-def beneath(engine: Engine, quiet: Diagnosis, loud: Observation) -> Beneath | None:
+def beneath(
+    engine: Engine, quiet: Diagnosis, loud: Observation, shares: Mapping[frozenset, float] | None = None
+) -> Beneath | None:  # fmt: skip
     """The same from the quietest level alone, where most laws are next to linear: the engine with what was found in the
     structure, and the faults of channels. None where nothing was found.
 
-    Of several mechanisms that one is the law which the loudest level, `loud`, would change most.
+    Of several mechanisms that one is the law whose place explains most of the distortion (`shares_of`); where nothing
+    tells that, the one which the loudest level, `loud`, would change most.
     """
     found = _found(quiet, PROMISING)
-    if found is None:
+    if found is None or far(found, quiet.detail["selection"].data):
         return None
     faults = faults_of(found.terms, found.fit.point.terms)
     linear = [i for i, t in enumerate(found.terms) if _structural(t)]
     if len(linear) < 2:
         some = [linear]
     else:
-        change = _changes(engine, found, quiet.detail["selection"].scatter, loud)
-        some = [[i] for i in sorted(linear, key=lambda i: change[i])]
+        if shares:
+            law = [shares.get(_ends(t.place), 0.0) for t in found.terms]
+        else:
+            law = _changes(engine, found, quiet.detail["selection"].scatter, loud)
+        some = [[i] for i in sorted(linear, key=lambda i: law[i])]
     engines = [_with(engine, found, which) for which in some]
     if all(e is engine for e in engines) and not faults:
         return None
@@ -108,6 +118,31 @@ def supposed(engine: Engine, rest: Diagnosis) -> Beneath | None:
         return Beneath([engine], faults, (named_of(found.fit, 0, SURE, scatter),))
     wider = _with(engine, found)
     return None if wider is engine else Beneath([wider], [], ())
+
+
+def shares_of(
+    engine: Engine, train: Sequence[Observation], places: Places, scatter: Scatter, span: tuple[float, float]
+) -> dict[frozenset, float]:
+    """Part of the distortion that a force at each place explains, by the ends of the place; empty where no line shows
+    distortion alone.
+    """
+    runs = [o.run for o in train if o.run is not None]
+    if not any(r.quiet.any() for r in runs):
+        return {}
+    i = quietest(runs)
+    point = base_point(engine, train[i], scatter, span)
+    plain = Bench(engine, point, tuple(runs), scatter, ()).on(LINES).joint([])
+    x = calmed(engine, point, runs[i], scatter).x
+    out: dict[frozenset, float] = {}
+    for s in spots(engine, engine.site(places.nodes, places.elements, places.supports)):
+        ends = _ends(s.place)
+        out[ends] = max(out.get(ends, 0.0), recover(plain, x, point, s).share)
+    return out
+
+
+def _ends(place: Place) -> frozenset:
+    """The ends of a place, an element and the joint in it being the same."""
+    return frozenset((place.id, place.to)) if place.to is not None else frozenset((place.kind == "ground", place.id))
 
 
 def _changes(engine: Engine, found: Candidate, scatter: Scatter, loud: Observation) -> list[float]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
@@ -86,13 +87,34 @@ def chain(
 
 
 def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
-    """The winning law at the spots that explain the distortion next best."""
+    """The winning law at the spots that explain the distortion next best, and at mirror images of its own."""
     best = found.best
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
     own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
     near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
-    return at_places(found, best, near[:3], scatter)
+    alike = [s for s in twins(found, best.spot, every) if (s.place, s.axis) not in have]
+    near = [s for s in near if not any(s.place == o.place for o in alike)]
+    return at_places(found, best, [*alike, *near][:3], scatter)
 
+
+def twins(found: Study, spot: Spot, every: Sequence[Spot]) -> list[Spot]:
+    """Other spots that move as much as `spot` in each mode, as the mirror image does of a symmetric structure: near
+    each resonance a force there does the same, and only how modes act together tells the two apart.
+    """
+    shape = found.engine.state(found.engine.theta0).shape[:, found.engine.band_modes]
+
+    def motion(s: Spot) -> NDArray[np.float64]:
+        size = np.abs(shape.T @ s.column)
+        return size / max(float(np.linalg.norm(size)), 1e-300)
+
+    own = motion(spot)
+    near = [(float(own @ motion(s)), s) for s in every if s.place != spot.place]
+    return [s for likeness, s in sorted(near, key=lambda pair: -pair[0]) if likeness > TWIN][:MOST]
+
+
+TWIN, MOST = 0.99, 2
+"""Correlation of the motions' sizes over the modes from which on a spot is another one's mirror image; and how many of
+these are tried."""
 
 RIVAL = 0.8
 """Part of what a general law removes at the best place that it must remove at another for the law to be tried there."""

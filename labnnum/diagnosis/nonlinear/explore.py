@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.effort import ONCE, spent
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import choose_lines
@@ -115,7 +116,8 @@ def explore(
         found, leads = looked(plain, x, spots, unnamed)
         near: list[Tried] = []
         if misled and carry_on and x is nominal:
-            near = contest(bench, nominal, found, LAWS, leads, progress) if strong is not False else []
+            far = strong is not False and spent() < ONCE
+            near = contest(bench, nominal, found, LAWS, leads, progress) if far else []
             if not strong and (not near or near[0].made.data_part > LEAVES * base.data_part):
                 near = sorted([*near, *stuck(bench, quiet, found, HELD, LONG)], key=lambda t: t.cost)
         dry = bool(near) and near[0].made.data_part < LEAVES * base.data_part
@@ -138,6 +140,33 @@ def explore(
         sliders = stuck(bench, quiet, best.recovered, HELD, LONG)
         best = replace(best, near=tuple(sorted([*best.near, *sliders], key=lambda t: t.cost)))
     return best
+
+
+def resumed(
+    engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
+    given: Sequence[Sequence[Lead]], begin: NDArray | None,
+) -> Prospect | None:  # fmt: skip
+    """Laws that were found on another engine, in any of the forms `given`, simulated on this one; None where none is.
+
+    Parameters
+    ----------
+    begin : ndarray, optional
+        Base vector from which they are, the nominal one besides.
+    """
+    bench = Bench(engine, point, tuple(runs), scatter, ()).on(LINES)
+    calm = calmed(engine, point, runs[quiet], scatter)
+    plain = bench.joint([])
+    base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
+    found, _ = looked(plain, calm.x, spots)
+    starts = [engine_start(plain), *([] if begin is None else [begin])]
+    made = [bench.both(x, leads, QUICK) for x in starts for leads in given]
+    near = sorted((t for t in made if t is not None), key=lambda t: t.cost)
+    near[:1] = [bench.carry_on(t, RESUMED, last=False) for t in near[:1]]
+    return Prospect(bench, calm, base, tuple(found), tuple(near[:1])) if near else None
+
+
+RESUMED = 20
+"""Steps of a fit that goes on with what was found on another engine."""
 
 
 def calmed(engine: Engine, point: Point, run: Run, scatter: Scatter, lines: int = LINES) -> Made:

@@ -9,8 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.answer import answer, parts_of
-from labnnum.diagnosis.nonlinear.beside import Beneath, added_to, beneath, misled, quietest_of, strained, supposed
+from labnnum.diagnosis.nonlinear.answer import Given, answer, parts_of
+from labnnum.diagnosis.nonlinear.beside import (
+    Beneath,
+    added_to,
+    beneath,
+    misled,
+    quietest_of,
+    shares_of,
+    strained,
+    supposed,
+)
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
 from labnnum.diagnosis.nonlinear.decision import (
     EQUAL,
@@ -23,8 +32,10 @@ from labnnum.diagnosis.nonlinear.decision import (
     NonlinearAnswer,
 )
 from labnnum.diagnosis.nonlinear.detect import CHANGE
+from labnnum.diagnosis.nonlinear.effort import counted
 from labnnum.diagnosis.nonlinear.explore import NOISY, STRAINED
 from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
 from labnnum.diagnosis.observe import Observation
@@ -91,15 +102,16 @@ def nonlinear_first(
         engine, gate, observations, held_out, places, scatter, limits, band, again, progress, known, nearly, train,
         test, list(usable),
     )  # fmt: skip
-    found = whole.first()
-    if found is None:
-        return None
-    found = whole.unhidden(found)
-    if not found.named and found.reason != KNOWN and found.reason not in FOUND:
-        linear = whole.nameless(found)
-        if linear is not None:
-            return linear
-    return whole.beside(found)
+    with counted():
+        found = whole.first()
+        if found is None:
+            return None
+        found = whole.unhidden(found)
+        if not found.named and found.reason != KNOWN and found.reason not in FOUND:
+            linear = whole.nameless(found)
+            if linear is not None:
+                return linear
+        return whole.beside(found)
 
 
 @dataclass
@@ -138,13 +150,13 @@ class _Whole:
 
     def law(
         self, on: Engine, *, known: Sequence[Lead] = (), doubted: int | None = None, whole: bool = True,
-        suspicious: bool = True, strong: bool | None = None,
+        suspicious: bool = True, strong: bool | None = None, given: Given | None = None,
     ) -> NonlinearAnswer | None:  # fmt: skip
         """The law that the runs show on an engine."""
         others = self.usable if whole else ()
         return answer(
             on, self.train, self.test, self.places, self.scatter, self.limits, self.band, self.progress, others, known,
-            self.nearly, doubted, suspicious, strong,
+            self.nearly, doubted, suspicious, strong, given,
         )  # fmt: skip
 
     # ------------------------------------------------------------ the law, and what lies beneath it
@@ -164,7 +176,10 @@ class _Whole:
                 second = self._above(under)
                 if quiet.named and (second is None or second.reason == UNCONFIRMED):
                     return None  # with that in the model there is nothing nonlinear
-        if not (sure or (better(second, NOISY) and not _twice(second))):
+        if not sure and second is not None and better(second, NOISY):
+            again = self._unsprung(second, under) if under is not None and _twice(second) else None
+            second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
+        elif not sure:
             whole = self.law(self.engine, known=self.known, strong=False if early else None)
             if found is None or (whole is not None and whole.misfit < found.misfit):
                 found = whole
@@ -187,22 +202,46 @@ class _Whole:
     def _quiet(self) -> tuple[Diagnosis, Beneath | None]:
         """The linear search on the quietest level alone, and what of it goes into the model."""
         self.progress("searching for linear physics at the quietest level")
-        quiet = self.again(quietest_of(self.usable, self.train), depth=2)
-        return quiet, beneath(self.engine, quiet, max(self.usable, key=lambda o: o.level))
+        quiet = self.again(quietest_of(self.usable, self.train), depth=2, hint=True)
+        shares = shares_of(self.engine, self.train, self.places, self.scatter, self.band)
+        return quiet, beneath(self.engine, quiet, max(self.usable, key=lambda o: o.level), shares)
 
     def _above(self, under: Beneath) -> NonlinearAnswer | None:
         """What the law is with linear physics of the quietest level in the model, and faults of channels off."""
-        before = self.train, self.test, self.usable
-        self._mend(under.faults)
         made: NonlinearAnswer | None = None
         for on in under.engines:
-            one = self.law(on, suspicious=False)
+            one = self._with(under.faults, on)
             if made is None or (one is not None and one.misfit < made.misfit):
                 made = one
             if made is not None and made.named:
                 break
+        return made
+
+    def _with(self, faults: Sequence[Fault], on: Engine, given: Given | None = None) -> NonlinearAnswer | None:
+        """The law that the runs show on an engine while these faults of channels are off them."""
+        before = self.train, self.test, self.usable
+        self._mend(faults)
+        made = self.law(on, suspicious=False, given=given)
         self.train, self.test, self.usable = before
         return made
+
+    def _unsprung(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
+        """The law without what its structure holds at the same place, from where both are; None where none is."""
+        last, engine = second.laws[-1].made, second.study.engine
+        n, more, m = self.engine.theta0.size, engine.theta0.size, self.engine.band_modes.size
+        if any(t.spot.column.size != self.engine.basis.shape[0] for t in second.laws):
+            return None
+        alike = engine.band_modes.size == m
+        base = np.concatenate([last.x[:n], last.x[more : more + 3 * m]]) if alike else None
+        held = dict(zip([t.place for t in _held(second)], last.x[n:more], strict=False))
+        plain, stiffer = [], []
+        for i, t in enumerate(second.laws):
+            p = np.zeros(N_P)
+            p[: last.terms[i].n] = last.law(i)[0]
+            plain.append(replace(t.lead, p=p))
+            k = sum(v for place, v in held.items() if _same_place(place, t.spot.place))
+            stiffer.append(replace(t.lead, p=np.concatenate([[p[0] + k], p[1:]])))
+        return self._with(under.faults, self.engine, given=Given((tuple(plain), tuple(stiffer)), base, NOISY))
 
     def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
         """The law, sought once more where one that leaves too much stands beside something linear that the base pays
@@ -351,9 +390,12 @@ CLEAR = 0.01
 
 
 def _clear(found: NonlinearAnswer) -> bool:
-    """Whether a strong law was found, which the quietest level can tell nothing about."""
+    """Whether a strong law was found, which the quietest level can tell nothing about: one that is named, or that still
+    needs something linear beside it to be.
+    """
     base = found.study.base.data_part / found.study.base.count
-    return bool(found.named) and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
+    sure = bool(found.named) or (found.reason == NOTHING and strained(found))
+    return sure and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
 
 
 def _held(found: NonlinearAnswer) -> list[Term]:

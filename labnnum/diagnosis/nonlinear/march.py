@@ -123,7 +123,8 @@ def _hysteretic(z, p, memory, d):  # pragma: no cover - compiled
 @njit(cache=True)
 def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
     """Opposing force, its slopes to z and v; `lp` gets those to the parameters, `d` those that memory needs."""
-    lp[:] = 0.0
+    for i in range(lp.size):
+        lp[i] = 0.0
     if code == 0:
         lp[0] = z**3
         return p[0] * z**3, 3 * p[0] * z**2, 0.0
@@ -208,16 +209,110 @@ def solve_force(code, z, v, gz, gv, p, memory, guess, lp, d):  # pragma: no cove
 
 
 @njit(cache=True, fastmath={"contract", "reassoc"}, error_model="numpy")
-def _advance(X0, X1, push, z, v, t0, t1, t2, t3, c0, c1, w):  # pragma: no cover - compiled
-    """One mode's tangents one step on, and what they add to the motion of the one place."""
-    for t in range(X0.size):
-        a, b, p = X0[t], X1[t], push[t]
-        q = t0 * a + t1 * b + c0 * p
-        u = t2 * a + t3 * b + c1 * p
-        X0[t] = q
-        X1[t] = u
-        z[t] += w * q
-        v[t] += w * u
+def _states_on(x, f, T, V0, w, see):  # pragma: no cover - compiled
+    """The modes' states x (2, m) one step on with the forces f (k,); what they add to the motions see (k, 2)."""
+    k, m = w.shape
+    if k == 1:
+        z, v, f0 = see[0, 0], see[0, 1], f[0]
+        for r in range(m):
+            push = w[0, r] * f0
+            q = T[0, r] * x[0, r] + T[1, r] * x[1, r] + V0[0, r] * push
+            u = T[2, r] * x[0, r] + T[3, r] * x[1, r] + V0[1, r] * push
+            x[0, r] = q
+            x[1, r] = u
+            z += w[0, r] * q
+            v += w[0, r] * u
+        see[0, 0], see[0, 1] = z, v
+        return
+    for r in range(m):
+        push = 0.0
+        for e in range(k):
+            push += w[e, r] * f[e]
+        q = T[0, r] * x[0, r] + T[1, r] * x[1, r] + V0[0, r] * push
+        u = T[2, r] * x[0, r] + T[3, r] * x[1, r] + V0[1, r] * push
+        x[0, r] = q
+        x[1, r] = u
+    for e in range(k):
+        z, v = see[e, 0], see[e, 1]
+        for r in range(m):
+            z += w[e, r] * x[0, r]
+            v += w[e, r] * x[1, r]
+        see[e, 0], see[e, 1] = z, v
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"}, error_model="numpy")
+def _tangents_on(X, df, T, V0, w, dsee):  # pragma: no cover - compiled
+    """The same of the tangents X (2, m, t) with df (k, t), added to dsee (k, 2, t)."""
+    k, m = w.shape
+    nt = X.shape[2]
+    if k == 1:
+        for r in range(m):
+            t0, t1, t2, t3, w0 = T[0, r], T[1, r], T[2, r], T[3, r], w[0, r]
+            c0, c1 = V0[0, r] * w0, V0[1, r] * w0
+            for t in range(nt):
+                a, b, push = X[0, r, t], X[1, r, t], df[0, t]
+                q = t0 * a + t1 * b + c0 * push
+                u = t2 * a + t3 * b + c1 * push
+                X[0, r, t] = q
+                X[1, r, t] = u
+                dsee[0, 0, t] += w0 * q
+                dsee[0, 1, t] += w0 * u
+    elif k == 2:
+        for r in range(m):
+            t0, t1, t2, t3, w0, w1 = T[0, r], T[1, r], T[2, r], T[3, r], w[0, r], w[1, r]
+            c0, c1 = V0[0, r], V0[1, r]
+            for t in range(nt):
+                a, b, push = X[0, r, t], X[1, r, t], w0 * df[0, t] + w1 * df[1, t]
+                q = t0 * a + t1 * b + c0 * push
+                u = t2 * a + t3 * b + c1 * push
+                X[0, r, t] = q
+                X[1, r, t] = u
+                dsee[0, 0, t] += w0 * q
+                dsee[0, 1, t] += w0 * u
+                dsee[1, 0, t] += w1 * q
+                dsee[1, 1, t] += w1 * u
+    else:
+        for r in range(m):
+            for t in range(nt):
+                push = 0.0
+                for e in range(k):
+                    push += w[e, r] * df[e, t]
+                q = T[0, r] * X[0, r, t] + T[1, r] * X[1, r, t] + V0[0, r] * push
+                u = T[2, r] * X[0, r, t] + T[3, r] * X[1, r, t] + V0[1, r] * push
+                X[0, r, t] = q
+                X[1, r, t] = u
+            for e in range(k):
+                for t in range(nt):
+                    dsee[e, 0, t] += w[e, r] * X[0, r, t]
+                    dsee[e, 1, t] += w[e, r] * X[1, r, t]
+
+
+@njit(cache=True, error_model="numpy")
+def _solved(a, rhs, out):  # pragma: no cover - compiled
+    """Out (k, t) with a (k, k) out = rhs, by elimination with the largest pivots; both are used up."""
+    k, nt = rhs.shape
+    for i in range(k):
+        best = i
+        for j in range(i + 1, k):
+            if abs(a[j, i]) > abs(a[best, i]):
+                best = j
+        if best != i:
+            for c in range(k):
+                a[i, c], a[best, c] = a[best, c], a[i, c]
+            for t in range(nt):
+                rhs[i, t], rhs[best, t] = rhs[best, t], rhs[i, t]
+        for j in range(i + 1, k):
+            part = a[j, i] / a[i, i]
+            for c in range(i + 1, k):
+                a[j, c] -= part * a[i, c]
+            for t in range(nt):
+                rhs[j, t] -= part * rhs[i, t]
+    for i in range(k - 1, -1, -1):
+        for j in range(i + 1, k):
+            for t in range(nt):
+                rhs[i, t] -= a[i, j] * out[j, t]
+        for t in range(nt):
+            out[i, t] = rhs[i, t] / a[i, i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -245,6 +340,7 @@ def march(
     rhs = np.empty((k, nt))
     a = np.empty((k, k))
     bad = 0
+    p0, memory0, lp0, d0 = p[0], memory[0], lp[0], d[0]
     # states are held without what the last force did within its step; that goes into the next one's weight
     V0 = np.empty((2, m))
     for r in range(m):
@@ -262,37 +358,31 @@ def march(
             see[e, 1] = source[step, e, 1]
             for o in range(k):
                 see[e, 1] -= before[e, o] * f[o]
-        for r in range(m):
-            push = 0.0
+        _states_on(x, f, T, V0, w, see)
+        if k == 1:
+            new[0] = solve_force(codes[0], see[0, 0], see[0, 1], gz[0, 0], gv[0, 0], p0, memory0, f[0], lp0, d0)
+        else:
             for e in range(k):
-                push += w[e, r] * f[e]
-            q = T[0, r] * x[0, r] + T[1, r] * x[1, r] + V0[0, r] * push
-            u = T[2, r] * x[0, r] + T[3, r] * x[1, r] + V0[1, r] * push
-            x[0, r] = q
-            x[1, r] = u
-            for e in range(k):
-                see[e, 0] += w[e, r] * q
-                see[e, 1] += w[e, r] * u
-        new[:] = f
-        settled = k == 1
-        for _ in range(80):
-            change = 0.0
-            size = 0.0
-            for e in range(k):
-                z, v = see[e, 0], see[e, 1]
-                for o in range(k):
-                    if o != e:
-                        z += gz[e, o] * new[o]
-                        v += gv[e, o] * new[o]
-                one = solve_force(codes[e], z, v, gz[e, e], gv[e, e], p[e], memory[e], new[e], lp[e], d[e])
-                change = max(change, abs(one - new[e]))
-                size = max(size, abs(one))
-                new[e] = one
-            if k == 1 or change <= 1e-10 * size:
-                settled = True
-                break
-        if not settled:
-            bad += 1
+                new[e] = f[e]
+            settled = False
+            for _ in range(80):
+                change = 0.0
+                size = 0.0
+                for e in range(k):
+                    z, v = see[e, 0], see[e, 1]
+                    for o in range(k):
+                        if o != e:
+                            z += gz[e, o] * new[o]
+                            v += gv[e, o] * new[o]
+                    one = solve_force(codes[e], z, v, gz[e, e], gv[e, e], p[e], memory[e], new[e], lp[e], d[e])
+                    change = max(change, abs(one - new[e]))
+                    size = max(size, abs(one))
+                    new[e] = one
+                if change <= 1e-10 * size:
+                    settled = True
+                    break
+            if not settled:
+                bad += 1
         for e in range(k):
             z, v = see[e, 0], see[e, 1]
             for o in range(k):
@@ -311,26 +401,7 @@ def march(
                 for o in range(k):
                     for t in range(nt):
                         dsee[e, 1, t] -= before[e, o] * df[o, t]
-            for r in range(m):
-                t0, t1, t2, t3 = T[0, r], T[1, r], T[2, r], T[3, r]
-                X0, X1 = X[0, r], X[1, r]
-                if k == 1:
-                    w0 = w[0, r]
-                    _advance(X0, X1, df[0], dsee[0, 0], dsee[0, 1], t0, t1, t2, t3, V0[0, r] * w0, V0[1, r] * w0, w0)
-                    continue
-                for t in range(nt):
-                    push = 0.0
-                    for e in range(k):
-                        push += w[e, r] * df[e, t]
-                    q = t0 * X0[t] + t1 * X1[t] + V0[0, r] * push
-                    u = t2 * X0[t] + t3 * X1[t] + V0[1, r] * push
-                    X0[t] = q
-                    X1[t] = u
-                for e in range(k):
-                    we = w[e, r]
-                    for t in range(nt):
-                        dsee[e, 0, t] += we * X0[t]
-                        dsee[e, 1, t] += we * X1[t]
+            _tangents_on(X, df, T, V0, w, dsee)
             for e in range(k):
                 code = codes[e]
                 if code == 4:
@@ -346,14 +417,17 @@ def march(
                     continue
                 _, fz[e], fv[e] = law(code, motion[step, e, 0], motion[step, e, 1], p[e], memory[e], lp[e], d[e])
                 for t in range(nt):
-                    total = 0.0
-                    for i in range(4 if code != 8 else 10):
-                        total += lp[e, i] * dp[e, i, t]
-                    if code == 6 and fz[e] > 0.0:
-                        total -= p[e, 0] * dmem[e, 0, t]
-                    elif code == 7:
-                        total += p[e, 0] * (d[e, 1] * dmem[e, 1, t] - d[e, 0] * dmem[e, 0, t])
-                    rhs[e, t] = -total
+                    rhs[e, t] = 0.0
+                for i in range(4 if code != 8 else 10):
+                    if lp[e, i] != 0.0:
+                        for t in range(nt):
+                            rhs[e, t] -= lp[e, i] * dp[e, i, t]
+                if code == 6 and fz[e] > 0.0:
+                    for t in range(nt):
+                        rhs[e, t] += p[e, 0] * dmem[e, 0, t]
+                elif code == 7:
+                    for t in range(nt):
+                        rhs[e, t] -= p[e, 0] * (d[e, 1] * dmem[e, 1, t] - d[e, 0] * dmem[e, 0, t])
                 if code == 9:
                     for i in range(SLIDERS):
                         if not _slips(i, motion[step, e, 0], p[e], memory[e]):
@@ -374,10 +448,7 @@ def march(
                 for t in range(nt):
                     df[0, t] = rhs[0, t] / a[0, 0]
             else:
-                solved = np.linalg.solve(a, rhs)
-                for e in range(k):
-                    for t in range(nt):
-                        df[e, t] = solved[e, t]
+                _solved(a, rhs, df)
             for e in range(k):
                 for t in range(nt):
                     dforces[step, e, t] = df[e, t]

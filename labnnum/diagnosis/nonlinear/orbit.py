@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
+CLOSED = 3e-4
+"""Relative gap of a period, or change from march to march, at which a steady state counts as found."""
 SINGULAR = 1e-9
 """Singular value of the closing gap, of the largest, below which a motion is one that no force brings back."""
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fits
+from labnnum.diagnosis.nonlinear.effort import TWO, spent
 from labnnum.diagnosis.nonlinear.explore import LAWS, LONG, Prospect, engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.further import MEMORY, needed
@@ -83,7 +84,8 @@ def paired(
     """Two laws together fitted by simulation, best first; none where they explain no more than one does.
 
     Round by round pairs of places and laws are looked for with the base that the best pair so far left: a base that was
-    fitted without the laws, or beside one of them, shows neither rightly.
+    fitted without the laws, or beside one of them, shows neither rightly. A search that has marched for long (`TWO`)
+    ends with what it has.
     """
     bench = seen.bench
     progress("fitting two nonlinear laws")
@@ -92,6 +94,7 @@ def paired(
     starts = [seen.calm.x[: plain.n_base], engine_start(plain)[: plain.n_base], own.x[: own.bare]]
     firsts = [t.spot for t in seen.near]
     done: list[Tried] = []
+    latest = spent() + TWO
     for _ in range(ROUNDS):
         promised: list[Combined] = []
         for x in starts:
@@ -101,18 +104,24 @@ def paired(
         promised.sort(key=lambda row: row[0])
         fresh = _distinct(promised, [t.all_of_it for t in done])
         before = done[0].cost if done else np.inf
-        made = [t for _, x, two in fresh if (t := bench.both(x, two, GLANCE)) is not None]
+        made: list[Tried] = []
+        for _, x, two in fresh:
+            one = bench.both(x, two, GLANCE) if spent() < latest or not made else None
+            made += [one] if one is not None else []
         made.sort(key=lambda t: t.cost)
-        made[:WORTH] = [bench.carry_on(t, BRIEF, last=False) for t in made[:WORTH]]
+        made[:WORTH] = [bench.carry_on(t, BRIEF, last=False) if spent() < latest else t for t in made[:WORTH]]
         done = sorted([*done, *made], key=lambda t: t.cost)
         if not done or done[0].cost > HOPEFUL * seen.near[0].cost:
             return []
         done[0] = bench.carry_on(done[0], LONG, last=False)
-        if done[0].cost > ONWARD * before or done[0].made.data_part < ENOUGH * done[0].made.count:
+        done.sort(key=lambda t: t.cost)
+        enough = done[0].made.data_part < ENOUGH * done[0].made.count
+        if done[0].cost > ONWARD * before or enough or spent() > latest:
             break
         starts = [done[0].made.x[: done[0].made.bare]]
         firsts = [lead.spot for lead in (done[0].lead, *done[0].more)]
-    if done[0].cost < BETTER * seen.near[0].cost and done[0].made.data_part > ENOUGH * done[0].made.count:
+    short = done[0].cost < BETTER * seen.near[0].cost and done[0].made.data_part > ENOUGH * done[0].made.count
+    if short and spent() < latest:
         near = [t for t in done[1:] if t.cost < CLOSE * done[0].cost][:SIMULATED]
         done[1 : 1 + len(near)] = [bench.carry_on(t, LONG, last=False) for t in near]
         done.sort(key=lambda t: t.cost)

@@ -13,7 +13,7 @@ from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.march import N_P
-from labnnum.diagnosis.nonlinear.orbit import Orbit
+from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
@@ -64,13 +64,16 @@ WARM = 3
 
 
 class Joint:
-    """The objective: runs, laws and the scatter of a sound model; `whole` where responses are wanted on all lines."""
+    """The objective: runs, laws and the scatter of a sound model; `whole` where responses are wanted on all lines.
+
+    `closing`: relative gap of a period, or change from march to march, at which a steady state counts as found.
+    """
 
     def __init__(
         self, engine: Engine, point: Point, runs: Sequence[Run], terms: Sequence[Acting], scatter: Scatter,
-        lines: Sequence[Lines], whole: bool = False,
+        lines: Sequence[Lines], whole: bool = False, closing: float = CLOSED,
     ) -> None:  # fmt: skip
-        self.point = point
+        self.point, self.closing = point, closing
         self.engine, self.runs, self.terms, self.scatter, self.lines = engine, tuple(runs), tuple(terms), scatter, lines
         n = engine.basis.shape[0]
         columns = np.array([t.column for t in terms]).T.reshape(n, len(terms))
@@ -207,7 +210,7 @@ class Joint:
             warm = 0
             if orbit is None:
                 orbit, warm = steady.guess(r, np.zeros((steady.n, self.k))), WARM
-            out.append(steady.settle(r, p, orbit, steps + warm, warm=warm))
+            out.append(steady.settle(r, p, orbit, steps + warm, self.closing, warm))
         return out
 
     def predict(self, x: NDArray, orbits: Sequence[Orbit | None]) -> list[NDArray[np.complex128]]:

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 
 from labnnum.diagnosis.nonlinear.discrete import Discrete, described, discrete, feedback
+from labnnum.diagnosis.nonlinear.effort import marched
 from labnnum.diagnosis.nonlinear.march import N_P, march, remembered
-from labnnum.diagnosis.nonlinear.orbit import Orbit, Slopes, closed, parts_of, relative, state_of
+from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit, Slopes, closed, parts_of, relative, state_of
 from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.run import Run, precise
 from labnnum.errors import EstimationError
@@ -85,16 +86,18 @@ class Steady:
         if self.growth is not None:
             time = time / self.growth[:, None, None]
         rows = np.ascontiguousarray(np.moveaxis(time, 0, -1).swapaxes(0, 1), np.float32)
-        return np.asarray(rfft(rows), np.complex128)[..., : self.lines] * (2 / self.n)
+        return np.asarray(np.asarray(rfft(rows))[..., : self.lines] * np.float32(2 / self.n), np.complex128)
 
-    def pushed(self, push: NDArray, s: NDArray) -> NDArray[np.float64]:
-        """Sources (n, k, 2, t) of tangents whose motions' spectra are (t, k, n_lines)."""
-        full = np.zeros((*push.shape[:2], 2, self.n // 2 + 1), precise(self.run))
-        full[:, :, 0, : self.lines], full[:, :, 1, : self.lines] = push, s * push
-        time = np.asarray(irfft(full)) * full.real.dtype.type(self.n / 2)
+    def pushed(self, push: NDArray, s: NDArray) -> NDArray[np.float32]:
+        """Sources (n, k, 2, t) of tangents whose motions' spectra are (t, k, n_lines), in single precision."""
+        n_t, k, _ = push.shape
+        full = np.zeros((self.n // 2 + 1, k, 2, n_t), precise(self.run))
+        scaled = np.asarray(push.transpose(2, 1, 0) * (self.n / 2), full.dtype)
+        full[: self.lines, :, 0], full[: self.lines, :, 1] = scaled, np.asarray(s, full.dtype)[:, None, None] * scaled
+        time = np.asarray(irfft(full, self.n, axis=0, overwrite_x=True))
         if self.growth is not None:
-            time = time * self.growth
-        return np.ascontiguousarray(np.moveaxis(time, (0, 3), (3, 0)), float)
+            time = time * self.growth[:, None, None, None]
+        return np.ascontiguousarray(time, np.float32)
 
     def source(self, r: Receptance, made: Discrete, force: NDArray) -> NDArray[np.float64]:
         """Motion (n, k, 2) at the places that the march does not produce itself."""
@@ -132,10 +135,13 @@ class Steady:
         memory = np.zeros((self.k, self.room))
         return Orbit(x, time[-1].copy(), memory, force, time, motion)
 
+    @np.errstate(over="ignore", invalid="ignore")  # a law that pushes may go beyond all numbers
     def settle(
-        self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = 3e-4, warm: int = 0
+        self, r: Receptance, p: NDArray, orbit: Orbit, steps: int, tolerance: float = CLOSED, warm: int = 0
     ) -> Orbit:
-        """Newton's method from `orbit` to the steady state with laws' parameters p (k, N_P), after `warm` periods."""
+        """Newton's method from `orbit` to the steady state with laws' parameters p (k, N_P), after `warm` periods; the
+        period closes to `tolerance`, relative.
+        """
         orbit = self._own_steps(r, orbit)
         if not self.run.lasting:
             return self._passes(r, p, orbit, tolerance)
@@ -171,7 +177,7 @@ class Steady:
                 inverse = closed(one.end)
                 change = inverse @ (one.state - state_of(orbit))
                 start = state_of(orbit) + change
-                time = one.time + one.slopes @ change
+                time = one.time + one.slopes @ np.asarray(change, np.float32)
                 scale = np.linalg.norm(one.time) + 1e-300
                 if not np.isfinite(change).all() or np.linalg.norm(time - one.time) > 3 * scale:
                     start, time, inverse = one.state, one.time, None  # too far for Newton: march on
@@ -229,6 +235,7 @@ class Steady:
                 break
         return orbit
 
+    @np.errstate(over="ignore", invalid="ignore")
     def slopes(
         self,
         r: Receptance,
@@ -270,8 +277,9 @@ class Steady:
         gap = (one.state - state_of(orbit))[:, None]
         inverse = closed(phi)
         closing = inverse @ np.hstack([part, gap])
-        whole = one.slopes[:, :, :n] + one.slopes[:, :, n:] @ closing[:, :-1]
-        time = one.time + one.slopes[:, :, n:] @ closing[:, -1]
+        own, start = one.slopes[:, :, :n], one.slopes[:, :, n:]
+        whole = own + start @ np.asarray(closing[:, :-1], np.float32)
+        time = one.time + start @ np.asarray(closing[:, -1], np.float32)
         x, f, memory = parts_of(state_of(orbit) + closing[:, -1], made.w.shape[1], self.k)
         rel = relative(time - orbit.time, time)
         force = self.to_lines(time)
@@ -327,10 +335,11 @@ class Steady:
         if vary is not None:
             dp[:, :, n_s : n_s + n_v] = np.moveaxis(vary, 0, -1)
         if ds is None:
-            ds = np.zeros((self.n, k, 2, 0))
+            ds = np.zeros((self.n, k, 2, 0), np.float32)
         forces, motion = np.empty((self.n, k)), np.empty((self.n, k, 2))
-        slopes = np.empty((self.n, k, nt))
+        slopes = np.empty((self.n, k, nt), np.float32)
         x, f, memory = orbit.x.copy(), orbit.f.copy(), orbit.memory.copy()
+        marched(self.n, m, k, nt)
         bad = march(
             made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, source, self.codes,
             np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit, tried_fit
+from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import (
     LAWS,
     LINES,
@@ -60,7 +61,7 @@ def search(
     if not tried:
         return None
     misled = seen.calm.data_part > MISLED * seen.calm.count  # laws were sought from the nominal base then
-    if not (unsure or misled) and tried[0].made.data_part > DOUBTFUL * tried[0].made.count:
+    if not (unsure or misled or tired()) and tried[0].made.data_part > DOUBTFUL * tried[0].made.count:
         tried = contested(seen, tried, progress)
     best = tried[0].made
     law = None
@@ -419,6 +420,8 @@ def nameless_kin(study: Study, best: Tried, scatter: Scatter) -> Tried | None:
         if along**2 > ALIKE**2 * size * float(force @ force) > 0:
             p = np.zeros(N_P)
             p[i] = along / size
-            one = bench.direct((best.made.x[: best.made.n_base],), Lead(best.spot, "general", p, 0.0), LONG)
+            one = bench.direct((best.made.x[: best.made.n_base],), Lead(best.spot, "general", p, 0.0), BEGINNING)
+            if one is not None and not _behind(one, best):
+                one = bench.carry_on(one, LONG, last=False)
             made += [one] if one is not None else []
     return min(made, key=lambda t: t.cost, default=None)

@@ -28,6 +28,10 @@ from labnnum.mechanisms.base import Place
 
 LADDER = (0.3, 0.1, 0.03, 0.01)
 """Tolerances, relative to the response around a line, from the widest on."""
+CLOSELY = 30.0
+"""Part of the tolerance to which a steady state is followed;"""
+ROUGHLY = 3.0
+"""the same where a law is only looked at."""
 UNFIT = 1.0
 """Chi-square per value that the base alone leaves with the widest tolerance that is asked for."""
 BRIEF, STEPS, LAST = 3, 6, 12
@@ -56,7 +60,8 @@ HOPEFUL = 0.35
 def slackened(bench: Bench, slack: float) -> Bench:
     """The bench with a tolerance of `slack` of the response around each line."""
     pairs = zip(bench.runs, bench.lines, strict=True)
-    return replace(bench, lines=tuple(_slackened(run, lines, slack) for run, lines in pairs))
+    closing = max(bench.closing, slack / CLOSELY)
+    return replace(bench, lines=tuple(_slackened(run, lines, slack) for run, lines in pairs), closing=closing)
 
 
 def _slackened(run: Run, lines: Lines, slack: float) -> Lines:
@@ -149,6 +154,7 @@ def _promising(
     by_share = sorted(found, key=lambda q: -q.share)[:SPOTS]
     high = int(np.argmax([r.level for r in bench.runs]))
     loud = slackened(replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],)), slack)
+    loud = replace(loud, closing=slack / ROUGHLY)
     out: list[tuple[float, Lead]] = []
     for q in by_share:
         if q.share < ALIKE * by_share[0].share:

@@ -1,0 +1,56 @@
+"""What a diagnosis has marched is counted the same everywhere, and what it leaves out depends on nothing else."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear import effort
+from labnnum.diagnosis.nonlinear.chain import twins
+from labnnum.diagnosis.nonlinear.effort import counted, marched, spent, tired
+from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.mechanisms.base import Place
+from labnnum.structures import Chain
+from labnnum.structures.chain import Link
+from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, multisine, steady
+
+
+def test_marches_are_counted_where_somebody_counts():
+    structure, spectrum = chain(), multisine(25.0, 1)
+    base, solver, parameters = steady(structure, spectrum, "cubic", (3e4,))
+    r = base.at(base.start())
+
+    def settled():
+        solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25)
+        return spent()
+
+    assert settled() == 0.0
+    with counted():
+        first = settled()
+        with counted():
+            assert settled() == pytest.approx(first, rel=1e-12)
+        assert first > solver.n * effort.STEP
+        assert settled() == pytest.approx(2 * first, rel=1e-12)
+    assert spent() == 0.0
+
+
+def test_a_search_is_tired_once_it_has_marched_for_long():
+    assert not tired()
+    with counted():
+        marched(int(0.9 * effort.LONG / effort.STEP), 5, 1, 0)
+        assert not tired()
+        marched(int(0.2 * effort.LONG / effort.STEP), 5, 1, 0)
+        assert tired()
+    assert not tired()
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_a_mirror_image_is_told_from_what_only_resembles(symmetric):
+    masses = (1.0, 1.0, 1.0, 1.0) if symmetric else (1.0, 1.0, 1.3, 1.6)
+    ends = [("1", "ground"), ("1", "2"), ("2", "3"), ("3", "4"), ("4", "ground")]
+    structure = Chain({str(i + 1): m for i, m in enumerate(masses)}, tuple(Link(*e, 1000.0, 4.0) for e in ends))
+    engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
+    spots = [Spot(Place("ground", str(i + 1)), "x", np.eye(4)[i]) for i in range(4)]
+    found = twins(SimpleNamespace(engine=engine), spots[1], spots)
+    assert [s.place.id for s in found] == (["3"] if symmetric else [])
