@@ -57,7 +57,7 @@ class Given:
     """
 
     leads: tuple[tuple[Lead, ...], ...]
-    base: NDArray[np.float64] | None
+    base: NDArray[np.float64]
     most: float
 
 

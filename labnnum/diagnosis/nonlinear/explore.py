@@ -19,7 +19,7 @@ from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import spread_lead, stuck
-from labnnum.diagnosis.nonlinear.tempered import contest
+from labnnum.diagnosis.nonlinear.tempered import contest, relaxed
 from labnnum.diagnosis.scatter import Scatter
 
 LAWS = (
@@ -144,29 +144,23 @@ def explore(
 
 def resumed(
     engine: Engine, point: Point, runs: Sequence[Run], quiet: int, spots: Sequence[Spot], scatter: Scatter,
-    given: Sequence[Sequence[Lead]], begin: NDArray | None,
+    given: Sequence[Sequence[Lead]], begin: NDArray,
 ) -> Prospect | None:  # fmt: skip
     """Laws that were found on another engine, in any of the forms `given`, simulated on this one; None where none is.
 
     Parameters
     ----------
-    begin : ndarray, optional
-        Base vector from which they are, the nominal one besides.
+    begin : ndarray
+        Base vector from which they are fitted.
     """
     bench = Bench(engine, point, tuple(runs), scatter, ()).on(LINES)
     calm = calmed(engine, point, runs[quiet], scatter)
     plain = bench.joint([])
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
     found, _ = looked(plain, calm.x, spots)
-    starts = [engine_start(plain), *([] if begin is None else [begin])]
-    made = [bench.both(x, leads, QUICK) for x in starts for leads in given]
+    made = [relaxed(bench, begin, leads) for leads in given]
     near = sorted((t for t in made if t is not None), key=lambda t: t.cost)
-    near[:1] = [bench.carry_on(t, RESUMED, last=False) for t in near[:1]]
     return Prospect(bench, calm, base, tuple(found), tuple(near[:1])) if near else None
-
-
-RESUMED = 20
-"""Steps of a fit that goes on with what was found on another engine."""
 
 
 def calmed(engine: Engine, point: Point, run: Run, scatter: Scatter, lines: int = LINES) -> Made:

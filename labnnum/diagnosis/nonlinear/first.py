@@ -228,19 +228,24 @@ class _Whole:
     def _unsprung(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
         """The law without what its structure holds at the same place, from where both are; None where none is."""
         last, engine = second.laws[-1].made, second.study.engine
-        n, more, m = self.engine.theta0.size, engine.theta0.size, self.engine.band_modes.size
+        n, more = self.engine.theta0.size, engine.theta0.size
         if any(t.spot.column.size != self.engine.basis.shape[0] for t in second.laws):
             return None
-        alike = engine.band_modes.size == m
-        base = np.concatenate([last.x[:n], last.x[more : more + 3 * m]]) if alike else None
+        own, there = self.engine.band_modes, engine.band_modes
+        _, at, where = np.intersect1d(own, there, return_indices=True)
+        modes = np.stack([np.zeros(own.size), np.log(self.engine.zeta0[own]), np.zeros(own.size)])
+        modes[:, at] = last.x[more : more + 3 * there.size].reshape(3, -1)[:, where]
+        base = np.concatenate([last.x[:n], modes.ravel()])
         held = dict(zip([t.place for t in _held(second)], last.x[n:more], strict=False))
-        plain, stiffer = [], []
+        plain: list[Lead] = []
+        stiffer: list[Lead] = []
         for i, t in enumerate(second.laws):
             p = np.zeros(N_P)
             p[: last.terms[i].n] = last.law(i)[0]
-            plain.append(replace(t.lead, p=p))
+            one = t.mechanism == "sliders" and p[2] < ONE_LIMIT
+            plain.append(replace(t.lead, p=p, mechanism="stick-slip" if one else t.mechanism))
             k = sum(v for place, v in held.items() if _same_place(place, t.spot.place))
-            stiffer.append(replace(t.lead, p=np.concatenate([[p[0] + k], p[1:]])))
+            stiffer.append(replace(plain[-1], p=np.concatenate([[p[0] + k], p[1:]])))
         return self._with(under.faults, self.engine, given=Given((tuple(plain), tuple(stiffer)), base, NOISY))
 
     def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
@@ -372,6 +377,10 @@ SAME = 1.1
 BETTER, NEARER = 0.8, 0.5
 """Part of what a law leaves to which it must bring it where linear physics was put beside it; and the part of that
 which one without a name may leave."""
+
+
+ONE_LIMIT = 0.1
+"""Spread of sliders' limits below which they are as well one slider."""
 
 
 def better(second: NonlinearAnswer | None, most: float) -> bool:

@@ -113,6 +113,19 @@ def contest(
     return near
 
 
+def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
+    """Laws fitted together from the base vector `x` and from where they are, with a tolerance that narrows; None where
+    no steady state is found.
+    """
+    t = slackened(bench, LADDER[1]).both(x, leads, STEPS)
+    if t is None:
+        return None
+    for slack in (*LADDER[2:], 0.0):
+        on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
+        t = on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH)
+    return t
+
+
 def _begins(bench: Bench, x: NDArray) -> tuple[Sequence[float], Made | None]:
     """The ladder from the widest tolerance on that the base alone does not satisfy, and the base there; None where it
     satisfies all of them.
