@@ -9,7 +9,9 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear import effort
 from labnnum.diagnosis.nonlinear.chain import twins
 from labnnum.diagnosis.nonlinear.effort import counted, marched, spent, tired
+from labnnum.diagnosis.nonlinear.fitting import _settled
 from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.errors import ModelError
 from labnnum.mechanisms.base import Place
 from labnnum.structures import Chain
 from labnnum.structures.chain import Link
@@ -54,3 +56,14 @@ def test_a_mirror_image_is_told_from_what_only_resembles(symmetric):
     spots = [Spot(Place("ground", str(i + 1)), "x", np.eye(4)[i]) for i in range(4)]
     found = twins(SimpleNamespace(engine=engine), spots[1], spots)
     assert [s.place.id for s in found] == (["3"] if symmetric else [])
+
+
+def test_a_step_to_where_the_structure_is_none_is_a_step_too_far():
+    def settle(x, orbits, steps):
+        if x[0] < 0:
+            raise ModelError("the model is singular")
+        return [None]
+
+    joint = SimpleNamespace(settle=settle)
+    assert _settled(joint, np.array([1.0]), [None]) == [None]
+    assert _settled(joint, np.array([-1.0]), [None]) is None

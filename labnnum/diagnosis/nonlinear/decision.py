@@ -103,7 +103,7 @@ def decide(
     best = named if laws[0].named else laws[0]  # the best law alone; a chain may have put another first
     base, last = found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
-    rivals = [t for t in found.tried if t.named and not t.same(best)]
+    rivals = [t for t in found.tried if t.named and not t.same(best) and not best.all_of_it < t.all_of_it]
     against = [t for t in rivals if t.simulated and not _only_smoother(t, best)]
     total = (base.objective * best.made.count / base.count - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count

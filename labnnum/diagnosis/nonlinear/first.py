@@ -107,7 +107,7 @@ def nonlinear_first(
         if found is None:
             return None
         found = whole.unhidden(found)
-        if not found.named and found.reason != KNOWN and found.reason not in FOUND:
+        if not found.named and found.reason != KNOWN and not _certain(found):
             linear = whole.nameless(found)
             if linear is not None:
                 return linear
@@ -274,7 +274,8 @@ class _Whole:
         )
         change = self.signs["level_dependence"]
         linear = not found.gained and change is not None and change < CHANGE  # it rings, or the shaker distorts
-        if not useless and (plain.named or sound or linear):
+        moves = found.gained and change is not None and change > 2 * CHANGE  # which no linear mechanism does
+        if not useless and ((plain.named and not moves) or sound or linear):
             return plain
         if not self.gate.named and (found.misfit > MISFIT or not found.gained):
             # what such a law leaves is no linear structure either, or what there was before
@@ -377,6 +378,12 @@ SAME = 1.1
 BETTER, NEARER = 0.8, 0.5
 """Part of what a law leaves to which it must bring it where linear physics was put beside it; and the part of that
 which one without a name may leave."""
+
+
+def _certain(found: NonlinearAnswer) -> bool:
+    """Whether nonlinear physics acts that has no name, or more than one: no linear mechanism stands in for it."""
+    base = found.study.base.data_part / found.study.base.count
+    return found.reason in FOUND or (found.reason == EQUAL and found.misfit < CLEAR * base)
 
 
 ONE_LIMIT = 0.1

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
-from labnnum.errors import EstimationError
+from labnnum.errors import EstimationError, ModelError
 
 SHORT, STALLS = 0.03, 2
 """Damping from which on a step is a short one, and how often such a step may gain little before a fit ends."""
@@ -80,9 +80,9 @@ def fit(
         moved = False
         for _ in range(5):
             trial = _step(joint, x, gradient, hessian, damping, reach)
-            found = joint.settle(trial, orbits, 8)
-            settled = all(o is None or np.isfinite(o.closing) for o in found)
-            after = joint.value(trial, found, b) if settled else np.inf
+            found = _settled(joint, trial, orbits)
+            settled = found is not None and all(o is None or np.isfinite(o.closing) for o in found)
+            after = joint.value(trial, found, b) if settled and found is not None else np.inf
             if np.isfinite(after) and after < value:
                 moved = True
                 break
@@ -91,7 +91,7 @@ def fit(
             converged = True
             break
         gain = value - after
-        x, orbits = trial, found
+        x, orbits = trial, found or orbits
         if gain < max(tolerance * value, floor):
             stalled += 1
             if not always or damping < SHORT or stalled > STALLS:
@@ -127,6 +127,14 @@ def fit(
         int(r.size),
         converged,
     )
+
+
+def _settled(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> list[Orbit | None] | None:
+    """Steady states at `x`; None where the structure is none there: a step that went too far."""
+    try:
+        return joint.settle(x, orbits, 8)
+    except ModelError:
+        return None
 
 
 GROUPS = 40

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, cost
+from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import LAWS
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import general_lead, law_leads, ranked
@@ -108,11 +109,12 @@ def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, 
     left holds all of its laws, the one that is missed most first.
     """
     chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
-    every = [replace(t, last=True) for t in laws[-1].made.terms]
+    fine = not tired()
+    every = [replace(t, last=fine or t.last) for t in laws[-1].made.terms]
     steps = steps_of(every)  # for the others too, where one that asks for fine ones is left out
 
     def fitted(start: Tried, terms: Sequence[int]) -> Made | None:
-        some = [replace(start.made.terms[i], last=True, steps=steps) for i in terms]
+        some = [replace(start.made.terms[i], last=fine or start.made.terms[i].last, steps=steps) for i in terms]
         joint = Joint(study.engine, study.point, study.runs, some, scatter, chosen)
         try:
             return fit(joint, _vector(start.made, terms), _orbits(start.made, terms), steps=10)
@@ -165,7 +167,7 @@ def acts(made: Made, i: int) -> bool:
 def finished(study: Study, last: Tried, scatter: Scatter, lines: Sequence[Lines]) -> Tried:
     """The last fit of a chain followed to its end, with finer steps and the slopes that standard deviations need."""
     bench = Bench(study.engine, study.point, study.runs, scatter, tuple(lines))
-    return bench.carry_on(last, FINISH, always=True, last=True)
+    return bench.carry_on(last, FINISH, always=True, last=not tired())
 
 
 FINISH = 12

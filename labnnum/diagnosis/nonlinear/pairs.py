@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fits
-from labnnum.diagnosis.nonlinear.effort import TWO, spent
+from labnnum.diagnosis.nonlinear.effort import TWO, spent, tired
 from labnnum.diagnosis.nonlinear.explore import LAWS, LONG, Prospect, engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.further import MEMORY, needed
@@ -200,15 +200,15 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
     Of two laws of which one can be spared the other is left; what is missed most comes first.
     """
     bench = seen.bench.on(FINE)
-    near = [t for t in pairs if t.cost < CLOSE * pairs[0].cost][:SIMULATED]
+    near = [t for t in pairs if t.cost < CLOSE * pairs[0].cost][: 1 if tired() else SIMULATED]
     coarse = sorted((bench.carry_on(t, LONG, last=False) for t in near), key=lambda t: t.cost)
-    finer = [bench.carry_on(t, LONG, last=True) for t in coarse if t.cost < CLOSE * coarse[0].cost]
+    finer = [bench.carry_on(t, LONG, last=not tired()) for t in coarse if t.cost < CLOSE * coarse[0].cost]
     finer.sort(key=lambda t: t.cost)
-    if finer[0].made.prior_part > BENT * finer[0].made.n_base:
+    if finer[0].made.prior_part > BENT * finer[0].made.n_base and not tired():
         others = [t for t in pairs if not any(t.same(o) for o in finer)][:INSTEAD]
         finer += [bench.carry_on(bench.carry_on(t, LONG, last=True), LONG, last=True) for t in others]
         finer.sort(key=lambda t: t.cost)
-    best = bench.carry_on(finer[0], 4, always=True, last=True)
+    best = bench.carry_on(finer[0], 4, always=True, last=not tired())
     tried = (best, *finer[1:])
     plain = bench.joint([])
     base = fit(plain, seen.base.x, [None] * len(bench.runs), steps=6)
