@@ -7,6 +7,7 @@ import pytest
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear import effort
+from labnnum.diagnosis.nonlinear.beside import _ends
 from labnnum.diagnosis.nonlinear.chain import twins
 from labnnum.diagnosis.nonlinear.effort import counted, marched, spent, tired
 from labnnum.diagnosis.nonlinear.fitting import _settled
@@ -67,3 +68,15 @@ def test_a_step_to_where_the_structure_is_none_is_a_step_too_far():
     joint = SimpleNamespace(settle=settle)
     assert _settled(joint, np.array([1.0]), [None]) == [None]
     assert _settled(joint, np.array([-1.0]), [None]) is None
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        (Place("element", "6", "7"), Place("joint", "7", "6"), True),
+        (Place("node", "4"), Place("ground", "4"), True),
+        (Place("ground", "4"), Place("ground", "5"), False),
+    ],
+)
+def test_a_mechanism_of_the_quietest_level_has_the_share_of_distortion_of_its_place(one, other, same):
+    assert (_ends(one) == _ends(other)) is same

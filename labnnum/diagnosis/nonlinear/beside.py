@@ -141,8 +141,8 @@ def shares_of(
 
 
 def _ends(place: Place) -> frozenset:
-    """The ends of a place, an element and the joint in it being the same."""
-    return frozenset((place.id, place.to)) if place.to is not None else frozenset((place.kind == "ground", place.id))
+    """The ends of a place: an element and the joint in it are the same, and so are a node and the ground under it."""
+    return frozenset({place.id, place.to} - {None})
 
 
 def _changes(engine: Engine, found: Candidate, scatter: Scatter, loud: Observation) -> list[float]:
