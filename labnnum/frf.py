@@ -55,6 +55,9 @@ class Frf:
         Averaged auto- and cross-spectra of the inputs, unit^2/Hz.
     input_condition : array_like, shape (n_f,), or None
         Condition number of the scaled input spectrum matrix, several inputs only.
+    shared : array_like, shape (n_out, n_in, n_f), or None
+        Factor, at least one, by which `variance` must be raised where responses are taken for independent, so that it
+        covers the noise of the measured input, which all of them share. None where that is not known.
     """
 
     frequency: NDArray[np.float64]
@@ -68,6 +71,7 @@ class Frf:
     settings: dict[str, Any] = field(default_factory=dict)
     input_spectrum: NDArray[np.complex128] | None = None
     input_condition: NDArray[np.float64] | None = None
+    shared: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "outputs", tuple(self.outputs))
@@ -87,6 +91,7 @@ class Frf:
             ("variance", float),
             ("input_spectrum", complex),
             ("input_condition", float),
+            ("shared", float),
         ):
             array = getattr(self, name)
             if array is not None:
@@ -96,6 +101,11 @@ class Frf:
     def omega(self) -> NDArray[np.float64]:
         """Lines in rad/s, shape (n_f,)."""
         return 2 * np.pi * self.frequency
+
+    @property
+    def covering_variance(self) -> NDArray[np.float64] | None:
+        """`variance` raised by `shared`, for fits that take responses for independent."""
+        return self.variance if self.variance is None or self.shared is None else self.variance * self.shared
 
     @property
     def error_magnitude(self) -> NDArray[np.float64] | None:
@@ -131,6 +141,7 @@ class Frf:
             variance=cut(self.variance),
             input_spectrum=cut(self.input_spectrum),
             input_condition=cut(self.input_condition),
+            shared=cut(self.shared),
         )
 
     def output(self, name: str) -> int:

@@ -28,8 +28,12 @@ HALF = 8
 """Lines on either side of an estimated one that enter its estimate."""
 ORDER = 2
 """Degree of the polynomials."""
-BETTER = 0.8
-"""Variance that a denominator must leave at most, of what the polynomials alone leave, to be used."""
+BETTER = 0.4
+"""Variance that a denominator must leave at most, of what the polynomials alone leave, to be used.
+
+A resonance that the polynomials miss leaves a tenth or less. With 0.8 a denominator would often be used because the
+noise happened to suit it, and the variances would be a third too small.
+"""
 DRIVEN = 1e-4
 """Power of the input, of its largest, below which a line is not estimated."""
 
@@ -67,7 +71,24 @@ def local_frf(recordings: Recording | Sequence[Recording], *, half: int = HALF, 
     """
     if not isinstance(recordings, Recording):
         return _mean([local_frf(r, half=half, step=step) for r in recordings], [r.label for r in recordings])
-    recording = recordings
+    return local_frf_with_errors(recordings, half=half, step=step)[0]
+
+
+def local_frf_with_errors(
+    recording: Recording, *, half: int = HALF, step: int | None = None
+) -> tuple[Frf, NDArray[np.complex128], NDArray[np.float64]]:
+    """`local_frf` of one record, with samples of its error and the input's power.
+
+    Returns
+    -------
+    frf : Frf
+    errors : ndarray, shape (2 half + 1, n_out, n_f)
+        What the local functions leave line by line, scaled to the variances of the FRFs: how errors of the rows go
+        together.
+    power : ndarray, shape (n_f,)
+        Variance of a line of the responses over that of the FRF, in the input's unit^2 s^2: how much power of the
+        input counts there, what cannot be told from the ends of the record left out.
+    """
     if len(recording.inputs) != 1:
         raise ChannelError(f"{recording.label}: local FRFs need one input, not {len(recording.inputs)}")
     if half < 6:
@@ -87,16 +108,20 @@ def local_frf(recordings: Recording | Sequence[Recording], *, half: int = HALF, 
     centres, around = centres[driven], around[driven]
     value = np.empty((y.shape[0], centres.size), complex)
     variance = np.empty((y.shape[0], centres.size))
+    errors = np.empty((2 * half + 1, y.shape[0], centres.size), complex)
     for i, row in enumerate(y):
-        value[i], variance[i] = _local(u[around], row[around])
+        value[i], variance[i], left, power = _local(u[around], row[around])
+        size = np.sqrt(np.mean(np.abs(left) ** 2, axis=1))
+        errors[:, i] = left.T * (np.sqrt(variance[i]) / np.maximum(size, 1e-300))
     freedom = 2 * half + 1 - 2 * (ORDER + 1)
     driven_part = np.abs(value) ** 2
     coherence = driven_part / np.maximum(driven_part + freedom * variance, 1e-300)
-    return Frf(
+    made = Frf(
         centres * recording.rate / n, value[:, None], tuple(recording.channels[i] for i in recording.outputs),
         (recording.channels[recording.inputs[0]],), coherence, variance[:, None], float(freedom), "local",
         {"rate": recording.rate, "n_record": n, "half": half, "step": step},
     )  # fmt: skip
+    return made, errors, power
 
 
 def _mean(frfs: Sequence[Frf], labels: Sequence[str]) -> Frf:
@@ -123,21 +148,25 @@ def _mean(frfs: Sequence[Frf], labels: Sequence[str]) -> Frf:
     return replace(cut[0], value=value, variance=1.0 / whole, coherence=coherence, n_averages=n)
 
 
-def _local(u: NDArray, y: NDArray) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """FRF and its variance at the middle of windows (n, 2 half + 1) of spectra."""
+def _local(u: NDArray, y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """FRF and its variance at the middle of windows (n, 2 half + 1) of spectra, what is left over each window, and
+    the power of the input that counts.
+    """
     half = u.shape[1] // 2
     r = np.arange(-half, half + 1) / half
     powers = r[:, None] ** np.arange(ORDER + 1)
     plain = np.concatenate([u[:, :, None] * powers, np.broadcast_to(powers, (*u.shape, ORDER + 1))], axis=2)
-    value, variance, left = _fitted(plain, y)
+    value, variance, spread, left = _fitted(plain, y)
+    power = np.maximum(spread, 1e-300) / np.maximum(variance, 1e-300)
     whole = np.concatenate([plain, -y[:, :, None] * powers[:, 1:]], axis=2)
-    other, other_variance, other_left = _fitted(whole, y)
-    use = other_left < BETTER * left
-    return np.where(use, other, value), np.where(use, other_variance, variance)
+    other, other_variance, other_spread, other_left = _fitted(whole, y)
+    use = other_spread < BETTER * spread
+    left = np.where(use[:, None], other_left, left)
+    return np.where(use, other, value), np.where(use, other_variance, variance), left, power
 
 
-def _fitted(columns: NDArray, y: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Least squares window by window: first coefficient, its variance, variance of what is left."""
+def _fitted(columns: NDArray, y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Least squares window by window: first coefficient, its variance, variance of what is left, and that itself."""
     scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=1)) + 1e-300
     q, r = np.linalg.qr(columns / scale[:, None])
     inner = np.einsum("nij,ni->nj", np.conj(q), y)
@@ -148,4 +177,4 @@ def _fitted(columns: NDArray, y: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     r = np.where((diagonal < 1e-10)[:, :, None] & (identity > 0), 1e-10, r)
     inverse = np.linalg.solve(r, identity.astype(complex))
     value = np.einsum("nj,nj->n", inverse[:, 0], inner) / scale[:, 0]
-    return value, spread * np.sum(np.abs(inverse[:, 0]) ** 2, axis=1) / scale[:, 0] ** 2, spread
+    return value, spread * np.sum(np.abs(inverse[:, 0]) ** 2, axis=1) / scale[:, 0] ** 2, spread, left

@@ -94,6 +94,8 @@ BENT = 0.02
 """Relative change of one channel's FRFs with level, beyond noise, that counts where no other channel changes by"""
 OTHERS = 0.1
 """this part of it: a structure that changes with level changes them all."""
+CERTAIN = 4.0
+"""Deviations of the power of the noise that such a change must exceed: one drowned line may hold most of it."""
 
 
 def bent_channel(observations: Sequence[Observation]) -> list[str]:
@@ -109,16 +111,16 @@ def bent_channel(observations: Sequence[Observation]) -> list[str]:
     low = min(known, key=lambda o: o.level)
     changes: list[NDArray[np.float64]] = []
     for o in observations:
-        change = np.zeros(len(low.frf.outputs)) if o is low else change_of_rows(low.frf, o.frf)
+        change = np.zeros((2, len(low.frf.outputs))) if o is low else change_of_rows(low.frf, o.frf)
         if change is None:
             return none
         changes.append(change)
-    top = max(changes, key=np.max)
-    row = int(np.argmax(top))
-    if top[row] < BENT or (np.delete(top, row) > OTHERS * top[row]).any():
+    likely, sure = max(changes, key=lambda c: np.max(c[1]))
+    row = int(np.argmax(sure))
+    if sure[row] < BENT or (np.delete(likely, row) > OTHERS * sure[row]).any():
         return none
     name = low.frf.outputs[row].name
-    clips = [name if c[row] > BENT else "" for c in changes]
+    clips = [name if sure[row] > BENT else "" for _, sure in changes]
     return none if _as_free(name, clips, observations) else clips
 
 
@@ -156,17 +158,20 @@ def _as_free(name: str, clips: Sequence[str], observations: Sequence[Observation
 
 
 def change_of_rows(low: Frf, high: Frf) -> NDArray[np.float64] | None:
-    """Relative RMS difference (n_out,) of the FRFs of two runs on lines that both have, noise taken out; None where
-    they have other channels, or fewer than eight lines in common.
+    """Relative RMS difference of the FRFs of two runs on lines that both have, noise taken out, and what is left of
+    it with `CERTAIN` deviations of that noise's power taken out as well, (2, n_out); None where they have other
+    channels, or fewer than eight lines in common.
     """
     shared, i, j = np.intersect1d(np.round(low.frequency, 6), np.round(high.frequency, 6), return_indices=True)
     same = [c.name for c in low.outputs] == [c.name for c in high.outputs] and len(low.inputs) == len(high.inputs)
     if not same or shared.size < 8 or low.variance is None or high.variance is None:
         return None
     a, b = low.value[..., i], high.value[..., j]
-    noise = np.sum(low.variance[..., i] + high.variance[..., j], axis=(1, 2))
-    power = np.maximum(np.sum(np.abs(a - b) ** 2, axis=(1, 2)) - noise, 0.0)
-    return np.sqrt(power / np.sum(np.abs(a) ** 2, axis=(1, 2)))
+    each = low.variance[..., i] + high.variance[..., j]
+    power = np.sum(np.abs(a - b) ** 2, axis=(1, 2)) - np.sum(each, axis=(1, 2))
+    chance = CERTAIN * np.sqrt(np.sum(each**2, axis=(1, 2)))  # exponential: as large as its mean
+    size = np.sum(np.abs(a) ** 2, axis=(1, 2))
+    return np.sqrt(np.maximum(np.stack([power, power - chance]), 0.0) / size)
 
 
 def _spread_distortion(o: Observation) -> bool:
@@ -184,6 +189,7 @@ def _without(o: Observation, name: str) -> Observation | None:
         f, value=f.value[keep], outputs=tuple(f.outputs[i] for i in keep),
         variance=None if f.variance is None else f.variance[keep],
         coherence=None if f.coherence is None else f.coherence[keep],
+        shared=None if f.shared is None else f.shared[keep],
     )  # fmt: skip
     run = o.run and replace(o.run, y=o.run.y[keep], noise=o.run.noise[keep], outputs=cut.outputs)
     rows = tuple(_less_channel(r, name) for r in o.recordings)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.hits import without_offset
 from labnnum.diagnosis.nonlinear.run import Run, run_of
 from labnnum.diagnosis.rails import Clip, clipping, rails_of
+from labnnum.diagnosis.shared import covering, input_noise
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.frf import Frf
 from labnnum.recording import Recording
@@ -148,13 +149,16 @@ def _periodic(recording: Recording) -> Observation:
         error = each[:, outputs][:, :, on] - h * each[:, inputs[0]][:, None, on]
         variance = np.mean(np.abs(error) ** 2, axis=0) / (n_periods - 1) / np.abs(u[on]) ** 2
         variance = 0.5 * variance + 0.5 * smooth(variance, 9)
+        samples = error / (np.sqrt(n_periods - 1) * u[on])
+        raised = covering(h, variance, input_noise(h, samples, variance, np.abs(u[on]) ** 2))
     else:
+        raised = None
         variance = noise_from_smoothness(frequency[on], h)
     drift, slope = _drift(spectra, inputs, outputs, on, h) if n_periods >= 4 else (0.0, None)
     made = Frf(
         frequency[on], h[:, None], tuple(recording.channels[i] for i in outputs),
         (recording.channels[inputs[0]],), None, variance[:, None], float(n_periods), "periodic",
-        {"period": n, "rate": recording.rate, "n_periods": n_periods},
+        {"period": n, "rate": recording.rate, "n_periods": n_periods}, shared=_above(raised, variance),
     )  # fmt: skip
     slope_frf = None if slope is None else replace(made, value=slope[:, None], variance=None)
     return Observation(
@@ -171,6 +175,11 @@ def _periodic(recording: Recording) -> Observation:
         ),
         recordings=(recording,),
     )  # fmt: skip
+
+
+def _above(raised: NDArray | None, variance: NDArray) -> NDArray[np.float64] | None:
+    """Factor (n_out, 1, n_f) by which variances (n_out, n_f) were raised."""
+    return None if raised is None else np.maximum(raised / np.maximum(variance, 1e-300), 1.0)[:, None]
 
 
 def _drift(spectra: NDArray, inputs: list[int], outputs: list[int], on: NDArray, h: NDArray) -> tuple[float, NDArray]:
@@ -262,13 +271,17 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     if len(x) >= 3:
         left = y - h * u[:, None]
         variance = smooth(np.sum(np.abs(left) ** 2, axis=0) / (len(x) - 1), 9) / power
+        samples = left * np.sqrt(len(x) / (len(x) - 1) / power)
+        raised = _above(covering(h, variance, input_noise(h, samples, variance, power)), variance)
     else:
+        raised = None
         variance = noise_from_smoothness(frequency, h)
     keep = (frequency > 0) & (power > 1e-3 * power.max())
     frf = Frf(
         frequency[keep], h[:, None][..., keep], tuple(first.channels[i] for i in first.outputs),
         (first.channels[first.inputs[0]],), None, variance[:, None][..., keep], float(len(x)), "H1",
         {"window_decay": decay, "rate": first.rate, "n_segment": n},
+        shared=None if raised is None else raised[..., keep],
     )  # fmt: skip
     level = float(np.median(np.max(np.abs(x[:, first.inputs[0]]), axis=1)))
     clipped, peaks = rails_of(recordings)
@@ -315,14 +328,17 @@ def _levels(hits: Sequence[tuple[int, Recording]]) -> list[list[tuple[int, Recor
 def _random(recording: Recording) -> Observation:
     """Local FRFs of the whole record; of several inputs H1 over Hann segments as long as leave thirty averages."""
     from labnnum.estimators import H1
-    from labnnum.local import local_frf
+    from labnnum.local import local_frf_with_errors
     from labnnum.spectra import Welch
 
     longest = max(stop - start for start, stop in recording.spans())
     if len(recording.inputs) == 1 and longest > ENOUGH:
-        made = local_frf(recording)
+        made, errors, power = local_frf_with_errors(recording)
         assert made.variance is not None
-        made = replace(made, variance=0.5 * made.variance + 0.5 * smooth(made.variance, 5))  # few degrees of freedom
+        h, v = made.value[:, 0], made.variance[:, 0]
+        v = 0.5 * v + 0.5 * smooth(v, 5)  # few degrees of freedom
+        raised = covering(h, v, input_noise(h, errors, v, power))
+        made = replace(made, variance=v[:, None], shared=_above(raised, v))
         return Observation(_heard(made, 10.0), 0.0, recording.label, "random", recordings=(recording,))
     n = int(2 ** np.floor(np.log2(max(longest / 15, 64))))
     made = H1(Welch(n, window="hann", overlap=0.5))(recording)

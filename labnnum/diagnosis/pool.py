@@ -29,6 +29,7 @@ def pool(observations: Sequence[Observation]) -> Frf:
     union = np.unique(np.concatenate(keys))
     shape = (*first.value.shape[:2], union.size)
     weight, total = np.zeros(shape), np.zeros(shape, complex)
+    raised = np.zeros(shape)
     square, count = np.zeros(shape), np.zeros(union.size)
     where = [np.searchsorted(union, k) for k in keys]
     frequency = np.zeros(union.size)
@@ -38,6 +39,7 @@ def pool(observations: Sequence[Observation]) -> Frf:
         weight[..., at] += w
         total[..., at] += w * o.frf.value
         square[..., at] += w * np.abs(o.frf.value) ** 2
+        raised[..., at] += w * (1.0 if o.frf.shared is None else o.frf.shared)
         count[at] += 1
         frequency[at] = o.frf.frequency
     mean = total / weight
@@ -45,4 +47,4 @@ def pool(observations: Sequence[Observation]) -> Frf:
     between = np.where(count > 1, spread / np.maximum(count - 1, 1), 0.0)
     variance = np.maximum(1.0 / weight, between)
     return replace(first, frequency=frequency, value=mean, variance=variance, coherence=None, input_spectrum=None,
-                   input_condition=None)  # fmt: skip
+                   input_condition=None, shared=raised / weight)  # fmt: skip

@@ -73,8 +73,8 @@ def sharpened(engine: Engine, lines: Frf, made: Fit, wide: Scatter, given: Data,
 
 def _floors(lines: Frf, given: Data, phi: NDArray) -> NDArray[np.float64]:
     """Part of the floor, (n_out, n_in), with which a row's errors have the variance found, `phi` times the assumed."""
-    assert lines.variance is not None
-    noise = lines.variance / given.sigma**2
+    assert lines.covering_variance is not None
+    noise = lines.covering_variance / given.sigma**2
     own = np.maximum(1.0 - noise, 0.0)
     phi = phi.reshape(noise.shape[:2])
     low, high = np.full(phi.shape, CLEAN), np.ones(phi.shape)

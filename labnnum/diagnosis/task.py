@@ -64,6 +64,10 @@ def dispersion(made: Fit, data: Data) -> float:
     return max(QUIET, made.data_part / (2 * data.value.size))
 
 
+CHANCE = 3.0
+"""Deviations of a difference that are left out of the turning: else lines would be chosen for their noise."""
+
+
 def choose_lines(frf: Frf, n: int = 0) -> Frf:
     """At most `n` lines (400, or fewer with more than four rows), dense where the FRFs turn quickly.
 
@@ -76,7 +80,7 @@ def choose_lines(frf: Frf, n: int = 0) -> Frf:
     h = frf.value.reshape(-1, frf.frequency.size)
     noise = np.sqrt(frf.variance.reshape(h.shape)) if frf.variance is not None else 0 * np.abs(h)
     size = np.sqrt(np.abs(h[:, 1:]) * np.abs(h[:, :-1])) + 1e-300
-    turn = np.maximum(np.abs(np.diff(h, axis=1)) - 2 * noise[:, 1:], 0) / size
+    turn = np.maximum(np.abs(np.diff(h, axis=1)) - CHANCE * np.hypot(noise[:, 1:], noise[:, :-1]), 0) / size
     turn = np.minimum(turn, 0.7).mean(axis=0)
     even = np.diff(np.log(frf.frequency))
     weight = 0.6 * turn / max(turn.sum(), 1e-300) + 0.4 * even / even.sum()
@@ -87,12 +91,12 @@ def choose_lines(frf: Frf, n: int = 0) -> Frf:
 
 def data_of(frf: Frf, scatter: Scatter) -> Data:
     """Fit data of an Frf whose variance is known; an exponential window becomes a shift of s."""
-    assert frf.variance is not None
+    assert frf.covering_variance is not None
     decay = float(frf.settings.get("window_decay", 0.0))
     s = np.asarray(decay + 1j * frf.omega, complex)
     rows = scatter.rows
     floor = scatter.floor if rows is None or rows.shape != frf.value.shape[:2] else rows
-    return Data(s, frf.value, np.sqrt(frf.variance)).with_floor(floor)
+    return Data(s, frf.value, np.sqrt(frf.covering_variance)).with_floor(floor)
 
 
 @dataclass(frozen=True, eq=False)

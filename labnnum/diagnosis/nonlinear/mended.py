@@ -96,7 +96,8 @@ def _frf(frf: Frf, fault: Fault, back: bool) -> Frf:
     data = fault.term.data
     if "swap" in data:
         order = _rows(n_out, fault)
-        return replace(frf, value=h[order], variance=None if variance is None else variance[order])
+        shared = None if frf.shared is None else frf.shared[order]
+        return replace(frf, value=h[order], variance=None if variance is None else variance[order], shared=shared)
     if "invert" in data:
         i = data["invert"]
         return replace(frf, value=-h) if i >= n_out else replace(frf, value=_signed(h, i))

@@ -38,9 +38,9 @@ def base_point(engine: Engine, o: Observation, scatter: Scatter, span: tuple[flo
     frf: Frf = o.frf.lines(*span)
     if frf.frequency.size > 400:
         frf = frf.at(np.unique(np.linspace(0, frf.frequency.size - 1, 400).round().astype(int)))
-    assert frf.variance is not None
+    assert frf.covering_variance is not None
     s = np.asarray(float(frf.settings.get("window_decay", 0.0)) + 1j * frf.omega, complex)
-    data = Data(s, frf.value, np.sqrt(frf.variance)).with_floor(scatter.floor)
+    data = Data(s, frf.value, np.sqrt(frf.covering_variance)).with_floor(scatter.floor)
     start = engine.start()
     x = start.vector()
     rungs = [broaden(engine, data, start, (), kappa) for kappa in LADDER]
