@@ -43,6 +43,7 @@ from labnnum.diagnosis.nonlinear.study import (
 )
 from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import timing, told
+from labnnum.diagnosis.nonlinear.valley import deepened
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
@@ -152,6 +153,7 @@ def answer(
         tried = [corners(found, tried, scatter, POOR), *tried[1:]]
         if not identified:  # the base of such a model is the quietest level's, and no law has bent it
             best = fine_enough(found, anew(found, tried, scatter), scatter)
+            best = deepened(found, best, scatter)
             tried = [*yielding_kin(found, best, scatter), *tried[1:]]
             tried = [*_ahead(nameless_kin(found, tried[0], scatter), tried[0], limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
@@ -205,6 +207,8 @@ def answer(
     if more:
         progress("fitting records that are not periodic")
         laws[-1] = joined(found, laws[-1], more, scatter)
+    if not identified:
+        laws[-1] = deepened(found, laws[-1], scatter)
     made = decide(found, laws, train, test, scatter, limits, whole, nearly or NEARLY, timed)
     if lying is None:
         return made

@@ -108,9 +108,10 @@ class Bench:
 
     def joint(self, leads: Sequence[Lead]) -> Joint:
         """The objective of laws that are simulated."""
-        return self._joint([lead.acting() for lead in leads])
+        return self.joint_of([lead.acting() for lead in leads])
 
-    def _joint(self, terms: Sequence[Acting]) -> Joint:
+    def joint_of(self, terms: Sequence[Acting]) -> Joint:
+        """The objective of laws with what their march needs."""
         return Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines, closing=self.closing)
 
     def follow(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
@@ -132,7 +133,7 @@ class Bench:
         finer steps where it is the `last` fit.
         """
         terms = [replace(lead.acting(), last=last) for lead in of_fits(one)]
-        joint = self._joint(terms)
+        joint = self.joint_of(terms)
         begun = marched_from(joint, one.made.x, one.made.orbits)
         made = tried_fit(joint, one.made.x, begun, one.lead, steps, more=one.more)
         return made or tried_fit(joint, one.made.x, [None] * len(self.runs), one.lead, steps, more=one.more)
@@ -151,7 +152,7 @@ class Bench:
 
     def again(self, x: NDArray, one: Tried, lead: Lead, steps: int) -> Tried | None:
         """A simulated fit from another base vector and other parameters of its law, with as fine steps."""
-        joint = self._joint([replace(lead.acting(), last=one.made.terms[0].last)])
+        joint = self.joint_of([replace(lead.acting(), last=one.made.terms[0].last)])
         return tried_fit(joint, joint.start(x), [None] * len(self.runs), one.lead, steps)
 
     def law_alone(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
@@ -164,7 +165,7 @@ class Bench:
     def carry_on(self, one: Tried, steps: int, *, always: bool = False, last: bool = True) -> Tried:
         """A simulated fit carried on, on other lines perhaps; with finer steps where it is the `last`."""
         terms = [replace(t, last=last) for t in one.made.terms]
-        joint = self._joint(terms)
+        joint = self.joint_of(terms)
         return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always, more=one.more) or one
 
 

@@ -65,16 +65,7 @@ def fit(
             jac, orbits = joint.slopes(x, orbits)
         except EstimationError:
             break
-        r, b = joint.parts(x, orbits)
-        part, gram, inner = reduced(r, b)
-        value = part + joint.price(x)
-        bj = np.matmul(b, jac.transpose(0, 2, 1))
-        hessian = np.matmul(jac, jac.transpose(0, 2, 1)).sum(axis=0)
-        hessian -= np.matmul(bj.transpose(0, 2, 1), np.linalg.solve(gram, bj)).sum(axis=0)
-        gradient = np.matmul(jac, r[..., None]).sum(axis=0)[:, 0]
-        gradient -= np.matmul(bj.transpose(0, 2, 1), inner[..., None]).sum(axis=0)[:, 0]
-        gradient -= prior * (x - joint.mean) / scale * np.isfinite(joint.std)
-        hessian += np.diag(prior)
+        value, gradient, hessian, b = _model(joint, x, orbits, jac)
         if best is None or value < best[0]:
             best = (value, x, orbits, hessian, jac)
         moved = False
@@ -127,6 +118,40 @@ def fit(
         int(r.size),
         converged,
     )
+
+
+def _model(
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], jac: NDArray
+) -> tuple[float, NDArray, NDArray, NDArray]:  # fmt: skip
+    """Objective at `x`, its gradient and Gauss-Newton Hessian (halved, in units of `scale`), what is marginalised."""
+    scale = joint.scale
+    prior = (scale / joint.std) ** 2
+    r, b = joint.parts(x, orbits)
+    part, gram, inner = reduced(r, b)
+    bj = np.matmul(b, jac.transpose(0, 2, 1))
+    hessian = np.matmul(jac, jac.transpose(0, 2, 1)).sum(axis=0)
+    hessian -= np.matmul(bj.transpose(0, 2, 1), np.linalg.solve(gram, bj)).sum(axis=0)
+    gradient = np.matmul(jac, r[..., None]).sum(axis=0)[:, 0]
+    gradient -= np.matmul(bj.transpose(0, 2, 1), inner[..., None]).sum(axis=0)[:, 0]
+    gradient -= prior * (x - joint.mean) / scale * np.isfinite(joint.std)
+    return part + joint.price(x), gradient, hessian + np.diag(prior), b
+
+
+def promised(joint: Joint, made: Made) -> tuple[float, float, NDArray[np.float64]]:
+    """Objective where a fit ended, by how much it would fall by an undamped step were it quadratic, and where that
+    step leads.
+
+    A fit ends too where a valley turns: its steps are short there, and each gains little.
+    """
+    joint.exact = True
+    try:
+        jac, orbits = joint.slopes(made.x, joint.settle(made.x, made.orbits, 8))
+        value, gradient, hessian, _ = _model(joint, made.x, orbits, jac)
+    except EstimationError:
+        return made.objective, 0.0, made.x
+    there = _step(joint, made.x, gradient, hessian, 1e-9, np.full(made.x.size, np.inf))
+    step = (there - made.x) / joint.scale
+    return value, float(2.0 * gradient @ step - step @ hessian @ step), there
 
 
 def _settled(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> list[Orbit | None] | None:

@@ -1,0 +1,67 @@
+"""Fits of a law go on where it and the base trade with each other, and end where nothing is to be had."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis.nonlinear.bench import tried_fit
+from labnnum.diagnosis.nonlinear.fitting import promised
+from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.study import FINE
+from labnnum.diagnosis.nonlinear.valley import PROMISE, _units, deepened
+from labnnum.diagnosis.observe import observe_all
+from labnnum.nonlinear import Element
+from tests.diagnosis.test_nonlinear import joint_23
+from tests.diagnosis.test_stuck import bench_of
+from tests.diagnosis.test_tempered import recorded
+
+STRENGTH = 3e4
+
+
+@pytest.fixture(scope="module")
+def cubic():
+    """Bench, objective and fit of a cubic spring, begun at the truth."""
+    element = Element("cubic", joint_23(), (STRENGTH,))
+    bench, _, every = bench_of(observe_all([recorded(element, level) for level in (2.0, 8.0, 25.0)]))
+    spot = next(s for s in every if {s.place.id, s.place.to} == {"2", "3"})
+    p = np.zeros(N_P)
+    p[0] = STRENGTH
+    lead, bench = Lead(spot, "cubic-stiffness", p, 0.0), bench.on(FINE)
+    joint = bench.joint_of([replace(lead.acting(), last=True)])
+    made = tried_fit(joint, joint.start(), [None] * len(bench.runs), lead, 25)
+    assert made is not None
+    assert made.made.law(0)[0][0] == pytest.approx(STRENGTH, rel=0.02)
+    return bench, joint, made
+
+
+def study_of(bench):
+    return SimpleNamespace(engine=bench.engine, point=bench.point, runs=bench.runs)
+
+
+def test_at_the_bottom_nothing_is_promised(cubic):
+    bench, joint, one = cubic
+    value, promise, _ = promised(joint, one.made)
+    assert value == pytest.approx(one.made.objective, rel=1e-3)
+    assert promise < PROMISE * one.made.data_part / one.made.count
+    assert deepened(study_of(bench), one, bench.scatter) is one
+
+
+def test_a_law_whose_scale_the_motions_hold_is_given_it_back(cubic):
+    bench, joint, one = cubic
+    m, x = joint.engine.band_modes.size, one.made.x.copy()
+    motions = slice(joint.n_base - m, joint.n_base)
+    x[motions] = 1.12 * (1.0 + x[motions]) - 1.0
+    x[joint.n_base] /= 1.12**4
+    bent = replace(one, made=replace(one.made, x=x))
+    straight = deepened(study_of(bench), bent, bench.scatter)
+    assert straight.made.objective < one.made.objective + 3.0
+    assert straight.made.law(0)[0] == pytest.approx(one.made.law(0)[0], rel=0.02)
+
+
+def test_units_of_rotations_are_left_alone():
+    assert _units("sliders")[:2] == ("N/m", "N")
+    assert _units("hysteresis")[:2] == ("N/m", "m")
+    assert _units("general") == ()
