@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
-from labnnum.diagnosis.nonlinear.bench import tried_fit
+from labnnum.diagnosis.nonlinear.bench import Study, tried_fit
 from labnnum.diagnosis.nonlinear.fitting import promised
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
@@ -38,7 +39,7 @@ def cubic():
 
 
 def study_of(bench):
-    return SimpleNamespace(engine=bench.engine, point=bench.point, runs=bench.runs)
+    return cast(Study, SimpleNamespace(engine=bench.engine, point=bench.point, runs=bench.runs))
 
 
 def test_at_the_bottom_nothing_is_promised(cubic):

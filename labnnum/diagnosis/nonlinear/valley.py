@@ -9,7 +9,10 @@ A part of it is taken then, however high that leads, and the fit is begun again 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, tried_fit
 from labnnum.diagnosis.nonlinear.decision import MECHANISMS
@@ -17,6 +20,7 @@ from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.fitting import promised
 from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.scales import powers
 from labnnum.diagnosis.nonlinear.study import FINE
 from labnnum.diagnosis.scatter import Scatter
@@ -29,8 +33,12 @@ KEPT = 0.2
 """Share of `PROMISE` that a part must keep to be followed further."""
 DEAR = 10.0
 """Price of the motions at the places, beyond one each, from which they are tried as the model has them."""
+BEGUN, NEAR = 4, 0.5
+"""Steps of such a beginning, and the part of what a fit leaves beyond the noise by which it may be behind then."""
 ROUNDS, STEPS = 5, 12
 """Such steps at most, and those of a fit from where one leads."""
+DEARER = 1.1
+"""Growth of the base's price from which a step is none down the valley: what draws it there is the price."""
 FAR = 0.7
 """Largest relative change of a law's parameter in one step."""
 
@@ -63,29 +71,47 @@ def _units(law: str) -> tuple[str, ...]:
 
 
 def _straightened(bench: Bench, one: Tried) -> Tried | None:
-    """The fit begun again with the motions at the places as the model has them, and laws that do the same through
-    them, where the motions pay more than a sound model's: the motion that is off most was the law's scale.
+    """The fit begun again with the motions at the places as the model has them, where they pay more than a sound
+    model's, and with laws that do through them what they did: by the motion that is off most, by all of them, or as
+    they are.
     """
     joint = bench.joint_of(one.made.terms)
-    x, m = one.made.x.copy(), joint.engine.band_modes.size
-    dear, n = False, joint.n_base
+    begin = [x for scaled in (_worst, _mean, None) if (x := _plain(joint, one.made.x, scaled)) is not None]
+    if not begin:
+        return None
+    value, _, _ = promised(joint, one.made)
+    tried = [tried_fit(joint, x, one.made.orbits, one.lead, BEGUN, more=one.more) for x in begin]
+    best = min((t for t in tried if t is not None), key=lambda t: t.made.objective, default=None)
+    if best is None or best.made.objective > value + NEAR * max(value - best.made.count, PROMISE):
+        return None
+    made = tried_fit(joint, best.made.x, best.made.orbits, one.lead, STEPS, always=True, more=one.more)
+    return made if made is not None and value - made.made.objective > KEPT * PROMISE * _excess(one) else None
+
+
+def _plain(joint: Joint, x: NDArray, scaled: Callable[[NDArray, NDArray], float] | None) -> NDArray[np.float64] | None:
+    """The vector with motions that pay too much put back, and their laws scaled; None where none pays too much."""
+    out, m, n = x.copy(), joint.engine.band_modes.size, joint.n_base
+    dear = False
     for i, term in enumerate(joint.terms):
         at = slice(n - (joint.k - i) * m, n - (joint.k - i - 1) * m)
-        off = (x[at] / joint.std[at]) ** 2
-        if np.sum(off) < DEAR + m:
+        if np.sum((x[at] / joint.std[at]) ** 2) < DEAR + m:
             continue
         dear = True
-        grown = 1.0 + x[at][np.argmax(off)]
-        x[at] = 0.0
+        out[at] = 0.0
+        grown = 1.0 if scaled is None else scaled(x[at], joint.std[at])
         first = n + sum(t.n for t in joint.terms[:i])
         for j, unit in enumerate(_units(term.mechanism)[: term.n]):
             force, motion = powers(unit)
-            x[first + j] *= grown ** (force - motion)
-    if not dear:
-        return None
-    value, _, _ = promised(joint, one.made)
-    made = tried_fit(joint, x, one.made.orbits, one.lead, STEPS, always=True, more=one.more)
-    return made if made is not None and value - made.made.objective > KEPT * PROMISE * _excess(one) else None
+            out[first + j] *= grown ** (force - motion)
+    return out if dear else None
+
+
+def _worst(motion: NDArray, std: NDArray) -> float:
+    return float(1.0 + motion[np.argmax(np.abs(motion / std))])
+
+
+def _mean(motion: NDArray, std: NDArray) -> float:
+    return float(1.0 + np.sum(motion / std**2) / np.sum(1.0 / std**2))
 
 
 def _stepped(bench: Bench, one: Tried) -> Tried | None:
@@ -101,6 +127,8 @@ def _stepped(bench: Bench, one: Tried) -> Tried | None:
     for part in PARTS:
         x = here + part * most * (there - here)
         made = tried_fit(joint, x, one.made.orbits, one.lead, STEPS, always=True, more=one.more)
-        if made is not None and value - made.made.objective > KEPT * least:
+        if made is None or made.made.prior_part > DEARER * one.made.prior_part + PROMISE:
+            continue
+        if value - made.made.objective > KEPT * least:
             return made
     return None
