@@ -23,6 +23,7 @@ from labnnum.diagnosis.nonlinear.decision import (
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import NOISY, Prospect, explore, resumed
+from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
@@ -141,6 +142,7 @@ def answer(
     if seen is not None and doubted is None and seen.nameless:
         return unsimulated(seen, train, test, scatter)
     believed: tuple[Observation, ...] = ()
+    deep: list[Made] = []
 
     def pursued(seen: Prospect) -> tuple[Study, list[Tried]] | None:
         found = search(seen, progress, unsure=nearly > 0)
@@ -154,6 +156,7 @@ def answer(
         if not identified:  # the base of such a model is the quietest level's, and no law has bent it
             best = fine_enough(found, anew(found, tried, scatter), scatter)
             best = deepened(found, best, scatter)
+            deep.append(best.made)
             tried = [*yielding_kin(found, best, scatter), *tried[1:]]
             tried = [*_ahead(nameless_kin(found, tried[0], scatter), tried[0], limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
@@ -207,7 +210,7 @@ def answer(
     if more:
         progress("fitting records that are not periodic")
         laws[-1] = joined(found, laws[-1], more, scatter)
-    if not identified:
+    if not identified and all(laws[-1].made is not m for m in deep):
         laws[-1] = deepened(found, laws[-1], scatter)
     made = decide(found, laws, train, test, scatter, limits, whole, nearly or NEARLY, timed)
     if lying is None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
+from labnnum.diagnosis.nonlinear.receptance import per_place
 from labnnum.errors import EstimationError, ModelError
 
 SHORT, STALLS = 0.03, 2
@@ -114,7 +115,7 @@ def fit(
         tuple(orbits),
         joint.terms,
         joint.n_base,
-        joint.n_base - joint.k * joint.engine.band_modes.size,
+        joint.n_base - joint.k * per_place(joint.engine),
         int(r.size),
         converged,
     )
@@ -205,7 +206,7 @@ def _reach(joint: Joint) -> NDArray[np.float64]:
     e = joint.engine
     m = e.band_modes.size
     first = np.array([p.upper - p.lower for p in e.structure.parameters])
-    return np.concatenate([first, np.full(m, 0.02), np.full(m, 0.7), np.full(m, 0.3), np.full(joint.k * m, 0.3)])
+    return np.concatenate([first, np.full(m, 0.02), np.full(m, 0.7), np.full(m, 0.3), np.full(joint.k * (m + 1), 0.3)])
 
 
 def _step(

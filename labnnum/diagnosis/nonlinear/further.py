@@ -17,6 +17,7 @@ from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
+from labnnum.diagnosis.nonlinear.receptance import per_place
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError
 
@@ -61,7 +62,7 @@ def further(
     best: Tried | None = None
     for lead in leads[: 1 if general else 2]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
-        m = engine.band_modes.size
+        m = per_place(engine)
         base, laws = made.x[: made.n_base], made.x[made.n_base :]
         x = np.concatenate([base, np.zeros(m), laws, lead.p[: lead.acting().n]])
         start = [_with_one_more(o) for o in made.orbits]

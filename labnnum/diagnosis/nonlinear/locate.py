@@ -15,7 +15,7 @@ from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.kernels import AROUND, weighed
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
-from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
+from labnnum.diagnosis.nonlinear.receptance import Base, Receptance, per_place
 from labnnum.diagnosis.nonlinear.run import Run, precise
 from labnnum.mechanisms.base import Place
 
@@ -165,7 +165,7 @@ def recover(
         omega = 2 * np.pi * np.arange(key[0] // 2 + 1) * key[1] / key[0]
         columns = np.array([spot.column, *(t.column for t in joint.terms)]).T
         base = Base(engine, point, columns, omega, key[2])
-        m = engine.band_modes.size
+        m = per_place(engine)
         own = joint.n_base - joint.k * m
         full = base.start()
         full[:own] = x[:own]

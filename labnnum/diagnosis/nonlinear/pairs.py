@@ -31,7 +31,7 @@ from labnnum.diagnosis.nonlinear.locate import (
     weighted,
 )
 from labnnum.diagnosis.nonlinear.problem import Joint
-from labnnum.diagnosis.nonlinear.receptance import Base
+from labnnum.diagnosis.nonlinear.receptance import Base, per_place
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.diagnosis.nonlinear.study import FINE
@@ -291,7 +291,7 @@ def _scanned(
     if at.size > SCANNED:
         at = at[np.unique(np.linspace(0, at.size - 1, SCANNED).round().astype(int))]
     base = Base(plain.engine, plain.point, columns, np.concatenate([omega[:2], omega[at]]), run.decay)
-    m = plain.engine.band_modes.size
+    m = per_place(plain.engine)
     r = base.at(np.concatenate([vector, np.zeros(columns.shape[1] * m)]))
     seen = r.lift[:, None, 2:] * r.h[:, :, 2:]
     top, power = moments(seen, weight[:, at], left[:, at])
@@ -304,7 +304,7 @@ def _scanned(
 def both_recovered(plain: Joint, x: NDArray, a: Spot, b: Spot) -> tuple[Recovered, Recovered]:
     """Forces and motions at two places, recovered together."""
     columns = np.array([a.column, b.column]).T
-    m = plain.engine.band_modes.size
+    m = per_place(plain.engine)
     parts: list[tuple[list[NDArray], list[NDArray], list[NDArray]]] = [([], [], []), ([], [], [])]
     alone: tuple[dict, dict] = ({}, {})
     for run in plain.runs:

@@ -57,6 +57,8 @@ class Acting:
 PASSIVE = 0.5
 """Share of beta in a hysteretic law from which on no loop of it returns more than it took (Erlicher and Point 2004:
 gamma between -beta and beta); far below, the law is no loop but a spring that softens."""
+FEW = 1e-3
+"""Least standard deviation of what modes above the band do at a place."""
 FREE = 0.3
 """Standard deviation at most of a place's relative motion in a mode."""
 WARM = 3
@@ -99,7 +101,7 @@ class Joint:
         parameters = e.structure.parameters
         m = e.band_modes.size
         zeta0 = np.log(e.zeta0[e.band_modes])
-        self.mean = np.concatenate([e.theta0, np.zeros(m), zeta0, np.zeros(m), np.zeros(self.k * m)])
+        self.mean = np.concatenate([e.theta0, np.zeros(m), zeta0, np.zeros(m), np.zeros(self.k * (m + 1))])
         self.std = np.concatenate(
             [[p.spread for p in parameters], frequency_spread(e, sc), np.full(m, sc.damping), np.full(m, sc.residue),
              self._motion_std()]
@@ -115,8 +117,8 @@ class Joint:
         self.std = np.concatenate([self.std, *std])
 
     def _motion_std(self) -> NDArray[np.float64]:
-        """Of the relative motion of each place in each band mode, (k m,): what shapes differ by, and next to a node, or
-        of neighbouring modes, what elements and masses of their own make of them.
+        """Of the relative motion of each place in each band mode, what shapes differ by, and next to a node, or of
+        neighbouring modes, what elements and masses of their own make of them; and in the modes above, (k (m + 1),).
         """
         sc = self.scatter
         first = next(iter(self.bases.values()))
@@ -124,7 +126,7 @@ class Joint:
         if self.k and (sc.stiffness > 0 or sc.mass > 0):
             own = self.engine.shape_spread(first.columns.T, sc.stiffness, sc.mass)
             usual = np.hypot(usual, np.minimum(own / first.w_typical, FREE))
-        return usual.ravel()
+        return np.concatenate([usual, np.full((self.k, 1), max(sc.remainder, FEW))], axis=1).ravel()
 
     def _unseen(self) -> NDArray[np.intp]:
         """Entries of modes beyond the lines of a run: frequency, damping and motions, which laws' harmonics may feel in
@@ -135,12 +137,12 @@ class Joint:
         top = 2 * np.pi * min(r.rate for r in self.runs) / 2
         far = np.flatnonzero(e.state(e.theta0).omega[e.band_modes] > top)
         n = e.theta0.size
-        return np.concatenate([n + far, n + m + far, *(n + (3 + i) * m + far for i in range(self.k))])
+        return np.concatenate([n + far, n + m + far, *(n + 3 * m + i * (m + 1) + far for i in range(self.k))])
 
     def _bounds(self) -> None:
         e = self.engine
         m = e.band_modes.size
-        wide = np.concatenate([np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9), np.full(self.k * m, 0.5)])
+        wide = np.concatenate([np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9), np.full(self.k * (m + 1), 0.5)])
         low = np.concatenate([[p.lower for p in e.structure.parameters], -wide])
         high = np.concatenate([[p.upper for p in e.structure.parameters], wide])
         at = e.theta0.size + m

@@ -65,6 +65,11 @@ IDENTIFIED = 1.4
 """Of a model that was identified: its mode above the band stands for all that lie there."""
 
 
+def per_place(engine: Engine) -> int:
+    """Entries of the vector for each place of a law: its motion in each band mode, and in all modes above together."""
+    return engine.band_modes.size + 1
+
+
 class Base:
     """The base model at places `columns` (n, k), on lines s = decay + i omega (n_f,) of which the first may be zero.
 
@@ -72,7 +77,8 @@ class Base:
 
     The vector that may vary holds the structure's parameters, then for each band mode a frequency offset, the
     logarithm of its damping, an offset of its load, and, place by place, of its motion there, as in
-    `labnnum.diagnosis.engine.Point`.
+    `labnnum.diagnosis.engine.Point`, and last by how much more all modes above the band move there than they should:
+    coarse elements have those wrong, and a place next to a law feels them as its own flexibility.
     """
 
     def __init__(
@@ -98,6 +104,7 @@ class Base:
         first = e.state(e.theta0)
         w = columns.T @ first.shape
         b = e.band_modes
+        self.above = np.arange(int(b.max(initial=-1)) + 1, first.omega.size)
         self.w_typical = np.maximum(np.abs(w[:, b]), 0.1 * np.abs(w[:, b]).max(axis=1, keepdims=True, initial=0.0))
         some = np.abs(self.s) > 0
         safe = np.where(some, self.s, 1.0)
@@ -113,7 +120,7 @@ class Base:
     def start(self) -> NDArray[np.float64]:
         """The vector at the engine's point."""
         p = self.point
-        return np.concatenate([p.theta, p.shift, p.log_zeta, p.size, np.zeros(self.k * p.shift.size)])
+        return np.concatenate([p.theta, p.shift, p.log_zeta, p.size, np.zeros(self.k * per_place(self.engine))])
 
     @property
     def cuts(self) -> NDArray[np.int64]:
@@ -150,7 +157,10 @@ class Base:
         load = st.load[:, 0].copy()
         load[b] += size * e.load_typical
         w = self.columns.T @ st.shape
-        w[:, b] += motion.reshape(self.k, b.size) * self.w_typical
+        motion = motion.reshape(self.k, per_place(e))
+        w[:, b] += motion[:, :-1] * self.w_typical
+        w[:, self.above] *= 1.0 + motion[:, -1:]
+        high_w = self.high_w * (1.0 + motion[:, -1:])
         out, s = st.out, self.s[self.lines]
         here = d if self.lines.size == d.shape[1] else np.ascontiguousarray(d[:, self.lines])
         plain = combined(out.T * load, here)
@@ -160,12 +170,12 @@ class Base:
         g = combined((w[:, None] * w[None]).reshape(-1, w.shape[1]), d).reshape(self.k, self.k, d.shape[1])
         if e.high.shape[1]:
             plain = plain + self._remainder(self.high_out, self.high_load, s)[:, 0]
-            h = h + self._remainder(self.high_out, self.high_w, s)
-            z = z + self._remainder(self.high_w, self.high_load, self.s)[:, 0]
-            g = g + self._remainder(self.high_w, self.high_w, self.s)
+            h = h + self._remainder(self.high_out, high_w, s)
+            z = z + self._remainder(high_w, self.high_load, self.s)[:, 0]
+            g = g + self._remainder(high_w, high_w, self.s)
         if e.is_base:
             plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)[:, self.lines]
-        rest = self.high_w @ self.high_w.T
+        rest = high_w @ high_w.T
         reach = IDENTIFIED if isinstance(e.structure, ModalStructure) else MARCHED
         return Receptance(
             self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines, reach
@@ -195,12 +205,13 @@ class Base:
         self, x: NDArray, r: Receptance, d: NDArray, s: NDArray, wanted: tuple[bool, bool]
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
         e, b = self.engine, self.engine.band_modes
-        theta, shift, _, _, _ = np.split(x, self.cuts)
+        theta, shift, _, _, motion = np.split(x, self.cuts)
         st = e.state(theta)
         sensors, places = wanted
         n_t, m_b, k, n_f = theta.size, b.size, self.k, s.size
+        grown = 1.0 + motion.reshape(self.k, m_b + 1)[:, -1]
         n_o = len(e.outputs) if sensors else 0
-        n, kp = n_t + (3 + k) * m_b, k if places else 0
+        n, kp = n_t + 3 * m_b + k * (m_b + 1), k if places else 0
         dp = np.zeros((n, n_o, n_f), complex)
         dh = np.zeros((n, n_o, k, n_f), complex)
         dz = np.zeros((n, kp, n_f), complex)
@@ -213,6 +224,7 @@ class Base:
         for j in range(n_t):
             dd = by_omega * (st.d_log[j] * r.omega)[:, None]
             dw = (self.columns.T @ st.shape) @ st.mix[j]
+            dw[:, self.above] *= grown[:, None]
             do, dl = st.d_out[j], st.d_load[j][:, 0]
             if sensors:
                 dp[j] = (do.T * r.load + r.out.T * dl) @ d + (r.out.T * r.load) @ dd
@@ -242,7 +254,7 @@ class Base:
             if places:
                 dz[row] = w[:, None] * one
             for a in range(k):
-                row = at + (3 + a) * m_b + i
+                row = at + 3 * m_b + a * (m_b + 1) + i
                 one = d[mode] * self.w_typical[a, i]
                 if sensors:
                     dh[row, :, a] = o[:, None] * one
@@ -250,4 +262,21 @@ class Base:
                     dz[row, a] = load * one
                     dg[row, a] += w[:, None] * one
                     dg[row, :, a] += w[:, None] * one
+        hi, high = self.above, bool(e.high.shape[1])
+        for a in range(k):
+            row = at + 3 * m_b + a * (m_b + 1) + m_b
+            one = (r.w[a, hi] / grown[a])[:, None] * d[hi]
+            if sensors:
+                dh[row, :, a] = r.out[hi].T @ one
+                if high:
+                    dh[row, :, a] += self._remainder(self.high_out, self.high_w[[a]], s)[:, 0]
+            if not places:
+                continue
+            dz[row, a] = r.load[hi] @ one
+            each = r.w[:, hi] @ one
+            if high:
+                dz[row, a] += self._remainder(self.high_w[[a]], self.high_load, s)[0, 0]
+                each = each + self._remainder(self.high_w * grown[:, None], self.high_w[[a]], s)[:, 0]
+            dg[row, a] += each
+            dg[row, :, a] += each
         return dp, dh, dz, dg

@@ -21,6 +21,7 @@ from labnnum.diagnosis.nonlinear.fitting import promised
 from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.problem import Joint
+from labnnum.diagnosis.nonlinear.receptance import per_place
 from labnnum.diagnosis.nonlinear.scales import powers
 from labnnum.diagnosis.nonlinear.study import FINE
 from labnnum.diagnosis.scatter import Scatter
@@ -90,7 +91,7 @@ def _straightened(bench: Bench, one: Tried) -> Tried | None:
 
 def _plain(joint: Joint, x: NDArray, scaled: Callable[[NDArray, NDArray], float] | None) -> NDArray[np.float64] | None:
     """The vector with motions that pay too much put back, and their laws scaled; None where none pays too much."""
-    out, m, n = x.copy(), joint.engine.band_modes.size, joint.n_base
+    out, m, n = x.copy(), per_place(joint.engine), joint.n_base
     dear = False
     for i, term in enumerate(joint.terms):
         at = slice(n - (joint.k - i) * m, n - (joint.k - i - 1) * m)
