@@ -28,11 +28,11 @@ HALF = 8
 """Lines on either side of an estimated one that enter its estimate."""
 ORDER = 2
 """Degree of the polynomials."""
-BETTER = 0.4
-"""Variance that a denominator must leave at most, of what the polynomials alone leave, to be used.
+BETTER, SURE = 0.8, 0.4
+"""Variance that a denominator must leave at most, of what the polynomials alone leave, to be used; and to be believed.
 
-A resonance that the polynomials miss leaves a tenth or less. With 0.8 a denominator would often be used because the
-noise happened to suit it, and the variances would be a third too small.
+Above the second the noise may have happened to suit it: what the polynomials leave is then taken for the noise, else
+the variances would be a third too small.
 """
 DRIVEN = 1e-4
 """Power of the input, of its largest, below which a line is not estimated."""
@@ -162,6 +162,8 @@ def _local(u: NDArray, y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     other, other_variance, other_spread, other_left = _fitted(whole, y)
     use = other_spread < BETTER * spread
     left = np.where(use[:, None], other_left, left)
+    lucky = use & (other_spread > SURE * spread)
+    other_variance = np.where(lucky, other_variance * spread / np.maximum(other_spread, 1e-300), other_variance)
     return np.where(use, other, value), np.where(use, other_variance, variance), left, power
 
 
