@@ -7,7 +7,7 @@ from labnnum.diagnosis import diagnose, observe_all
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.joined import levels
-from labnnum.diagnosis.nonlinear.march import CODES
+from labnnum.diagnosis.nonlinear.march import CODES, _part
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
@@ -112,6 +112,7 @@ def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
         ("cubic", (3e4,)),
         ("quadratic-damping", (2.0,)),
         ("clearance", (500.0, 0.002)),
+        ("coulomb", (2.0,)),
         ("sliders", (400.0, 6.0, 0.7)),
     ],
 )
@@ -132,6 +133,40 @@ def test_slopes_are_those_of_finite_steps(law, p):
             ends.append(solver.settle(r, moved, orbit, 25, 1e-9).force)
         finite = (ends[0] - ends[1]) / (2e-4 * value)
         assert np.linalg.norm(slope.force[x.size + j] - finite) < 0.05 * np.linalg.norm(finite)
+
+
+@pytest.mark.parametrize("limit", [0.5, 2.0, 5.0])
+def test_dry_friction_jumps_where_it_does_and_not_where_a_step_ends(limit):
+    """Eight steps to a period of the highest line, against sixty-four times as many: from friction that slips most of
+    the time, of which a jump at the end of a step would miss 0.4 to 3.3 %, to friction that holds for a part of it.
+    """
+    spectrum = multisine(25.0, 1)
+    base, coarse, parameters = steady(chain(), spectrum, "coulomb", (limit,))
+    r = base.at(base.start())
+
+    def response(fine):
+        solver = Steady(coarse.run, coarse.codes, fine)
+        orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 40, 1e-6, warm=4)
+        return (r.lift * (r.plain * spectrum + (r.h * orbit.force).sum(axis=1)))[:, 7:150]
+
+    fine, made = response(64), response(2)
+    assert np.linalg.norm(made - fine) < {0.5: 2e-3, 2.0: 8e-3, 5.0: 2.5e-2}[limit] * np.linalg.norm(fine)
+
+
+@pytest.mark.parametrize("before", [0.7, -0.7, 1e-12, 0.0])
+@pytest.mark.parametrize("free", [-3.0, -0.4, -1e-3, 1e-9, 0.2, 5.0])
+def test_the_part_of_dry_friction_solves_its_equation(before, free):
+    take = 0.3
+    part = _part(free, take, before)
+    assert -1 <= part <= 1
+    speed = free - take * part
+    if abs(part) < 1 and before:
+        assert abs(speed - before) * part == pytest.approx(2 * speed, abs=1e-12)
+    elif abs(part) < 1:
+        assert speed == pytest.approx(0.0, abs=1e-12)
+    else:
+        assert 2 * speed * part >= abs(speed - before) - 1e-12
+    assert _part(-free, take, -before) == pytest.approx(-part)
 
 
 def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3):
