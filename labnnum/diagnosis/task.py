@@ -80,7 +80,9 @@ def choose_lines(frf: Frf, n: int = 0) -> Frf:
     h = frf.value.reshape(-1, frf.frequency.size)
     noise = np.sqrt(frf.variance.reshape(h.shape)) if frf.variance is not None else 0 * np.abs(h)
     size = np.sqrt(np.abs(h[:, 1:]) * np.abs(h[:, :-1])) + 1e-300
-    turn = np.maximum(np.abs(np.diff(h, axis=1)) - CHANCE * np.hypot(noise[:, 1:], noise[:, :-1]), 0) / size
+    measured = np.isfinite(frf.n_averages)  # else the noise is taken from differences, which peaks make large
+    chance = CHANCE * np.hypot(noise[:, 1:], noise[:, :-1]) if measured else 2 * noise[:, 1:]
+    turn = np.maximum(np.abs(np.diff(h, axis=1)) - chance, 0) / size
     turn = np.minimum(turn, 0.7).mean(axis=0)
     even = np.diff(np.log(frf.frequency))
     weight = 0.6 * turn / max(turn.sum(), 1e-300) + 0.4 * even / even.sum()

@@ -97,3 +97,13 @@ def test_lines_are_not_chosen_for_their_noise():
     chosen = choose_lines(frf, 200)
     assert chosen.frequency.size > 100
     assert np.mean(np.abs(chosen.value - 1) ** 2) / 0.01 == pytest.approx(1.0, abs=0.2)
+
+
+def test_where_noise_is_not_measured_lines_still_follow_a_peak():
+    f = np.linspace(10, 100, 1500)
+    h = 1 / (1 - (f / 40) ** 2 + 2j * 0.004 * f / 40)
+    rough = np.full((1, 1, 1500), 1.0)  # differences take a sharp peak for noise
+    frf = Frf(f, h[None, None], CHANNELS[1:2], CHANNELS[:1], None, rough)
+    near = np.abs(f - 40) < 0.5
+    known = choose_lines(Frf(f, h[None, None], CHANNELS[1:2], CHANNELS[:1], None, rough, 10.0), 100)
+    assert np.isin(f[near], choose_lines(frf, 100).frequency).sum() > np.isin(f[near], known.frequency).sum()
