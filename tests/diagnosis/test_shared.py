@@ -93,7 +93,7 @@ def test_lines_are_not_chosen_for_their_noise():
     rng = np.random.default_rng(6)
     f = np.linspace(10, 100, 1500)
     wrong = (rng.standard_normal((2, 1, 1500)) + 1j * rng.standard_normal((2, 1, 1500))) / np.sqrt(2)
-    frf = Frf(f, 1 + 0.1 * wrong, CHANNELS[1:3], CHANNELS[:1], None, np.full((2, 1, 1500), 0.01))
+    frf = Frf(f, 1 + 0.1 * wrong, CHANNELS[1:3], CHANNELS[:1], None, np.full((2, 1, 1500), 0.01), 10.0)
     chosen = choose_lines(frf, 200)
     assert chosen.frequency.size > 100
     assert np.mean(np.abs(chosen.value - 1) ** 2) / 0.01 == pytest.approx(1.0, abs=0.2)
