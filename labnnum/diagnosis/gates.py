@@ -184,16 +184,21 @@ def _without(o: Observation, name: str) -> Observation | None:
     keep = [i for i, c in enumerate(o.frf.outputs) if c.name != name]
     if len(keep) == len(o.frf.outputs) or not keep:
         return None
-    f = o.frf
-    cut = replace(
-        f, value=f.value[keep], outputs=tuple(f.outputs[i] for i in keep),
-        variance=None if f.variance is None else f.variance[keep],
-        coherence=None if f.coherence is None else f.coherence[keep],
-        shared=None if f.shared is None else f.shared[keep],
-    )  # fmt: skip
+
+    def rows_of(f: Frf) -> Frf:
+        return replace(
+            f, value=f.value[keep], outputs=tuple(f.outputs[i] for i in keep),
+            variance=None if f.variance is None else f.variance[keep],
+            coherence=None if f.coherence is None else f.coherence[keep],
+            shared=None if f.shared is None else f.shared[keep],
+        )  # fmt: skip
+
+    cut = rows_of(o.frf)
+    slope = None if o.drift_slope is None else rows_of(o.drift_slope)
+    distortion = {k: v[keep] if v.size == len(o.frf.outputs) else v for k, v in o.distortion.items()}
     run = o.run and replace(o.run, y=o.run.y[keep], noise=o.run.noise[keep], outputs=cut.outputs)
     rows = tuple(_less_channel(r, name) for r in o.recordings)
-    return replace(o, frf=cut, run=run, recordings=rows)
+    return replace(o, frf=cut, run=run, recordings=rows, drift_slope=slope, distortion=distortion)
 
 
 def _less_channel(recording: Recording, name: str) -> Recording:
