@@ -19,7 +19,6 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.objective import frequency_spread
 from labnnum.diagnosis.scatter import Scatter
-from labnnum.structures.modal import ModalStructure
 
 FINE_STEPS = 3.3
 """Steps of the march to a period of the highest excited line, at least: harmonics up to the fifth do not fold back."""
@@ -127,9 +126,7 @@ class Joint:
         if self.k and (sc.stiffness > 0 or sc.mass > 0):
             own = self.engine.shape_spread(first.columns.T, sc.stiffness, sc.mass)
             usual = np.hypot(usual, np.minimum(own / first.w_typical, FREE))
-        identified = isinstance(self.engine.structure, ModalStructure)  # what lies above was measured with the rest
-        above = FEW if identified else max(sc.remainder, FEW)
-        return np.concatenate([usual, np.full((self.k, 1), above)], axis=1).ravel()
+        return np.concatenate([usual, np.full((self.k, 1), max(sc.remainder, FEW))], axis=1).ravel()
 
     def _unseen(self) -> NDArray[np.intp]:
         """Entries of modes beyond the lines of a run: frequency, damping and motions, which laws' harmonics may feel in
