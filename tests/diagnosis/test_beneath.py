@@ -69,6 +69,17 @@ def test_samples_of_a_faulty_channel_are_mended_like_its_spectrum(which):
     assert seen.frf.value == pytest.approx(wrong.frf.value, abs=1e-3 * np.abs(wrong.frf.value).max())
 
 
+@pytest.mark.parametrize(("mechanism", "value", "lost"), [
+    (ChannelGain(), -0.9999, True), (ChannelGain(), -0.5, False), (ChannelHighpass(), 1e3, False),
+])  # fmt: skip
+def test_a_channel_is_lost_where_it_lets_nothing_through_at_any_frequency(mechanism, value, lost):
+    assert fault(mechanism, (value,), channel=1).lost is lost
+
+
+def test_channels_that_are_exchanged_are_not_lost():
+    assert not FAULTS["exchanged"].lost
+
+
 def exchanged(observation):
     """The run with the first two responses at each other's input of the converter."""
     order = [1, 0, 2]
@@ -138,3 +149,12 @@ def test_a_gain_that_the_errors_of_a_sound_model_excuse_is_named_beside_the_law(
     assert [n.term.mechanism.id for n in found.named] == ["cubic-stiffness", "channel-gain"], found.summary
     assert str(found.named[1].place) == "channel a2"
     assert found.named[1].value[0] == pytest.approx(-0.16, abs=0.03)
+
+
+def test_a_dead_channel_does_not_hide_a_law():
+    """Taking its fault off would leave no channel: it stays as it was recorded."""
+    dead = fault(ChannelGain(), (-0.9999,), channel=1)
+    found = diagnose(chain(), [mended(o, [dead], back=True) for o in runs([CUBIC], chain())])
+    assert found.named, found.summary
+    assert found.named[0].term.mechanism.id == "cubic-stiffness", found.summary
+    assert found.named[0].value == pytest.approx([2e4], rel=0.1)

@@ -87,6 +87,8 @@ def beneath(
     if found is None or far(found, quiet.detail["selection"].data):
         return None
     faults = faults_of(found.terms, found.fit.point.terms)
+    if any(f.lost for f in faults):
+        return None
     linear = [i for i, t in enumerate(found.terms) if _structural(t)]
     if len(linear) < 2:
         some = [linear]
@@ -115,7 +117,8 @@ def supposed(engine: Engine, rest: Diagnosis) -> Beneath | None:
     found, scatter = chain[1], rest.detail["selection"].scatter
     faults = faults_of(found.terms, found.fit.point.terms)
     if faults:
-        return Beneath([engine], faults, (named_of(found.fit, 0, SURE, scatter),))
+        one = Beneath([engine], faults, (named_of(found.fit, 0, SURE, scatter),))
+        return None if any(f.lost for f in faults) else one
     wider = _with(engine, found)
     return None if wider is engine else Beneath([wider], [], ())
 

@@ -15,6 +15,8 @@ from labnnum.recording import Recording
 
 LOST = 0.02
 """Gain of a faulty channel below which what it let through cannot be brought back, and counts as nothing."""
+ALL = 2j * np.pi * np.logspace(-1, 6, 57)
+"""Lines s at which a channel may let something through, whatever the band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +31,11 @@ class Fault:
         assert isinstance(self.term.mechanism, ChannelMechanism)
         f = self.term.mechanism.factor(np.where(s == 0, s[min(1, s.size - 1)], s), self.value)
         return f if back else np.where(np.abs(f) < LOST, 0.0, 1.0 / np.where(f == 0, 1.0, f))
+
+    @property
+    def lost(self) -> bool:
+        """Whether the channel lets nothing through at any frequency, so that taking the fault off leaves no channel."""
+        return self.changes and not np.any(self.factor(ALL))
 
     @property
     def changes(self) -> bool:
