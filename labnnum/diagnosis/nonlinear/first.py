@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.answer import Given, answer, parts_of
@@ -35,7 +34,6 @@ from labnnum.diagnosis.nonlinear.decision import (
 from labnnum.diagnosis.nonlinear.detect import CHANGE
 from labnnum.diagnosis.nonlinear.effort import counted
 from labnnum.diagnosis.nonlinear.explore import NOISY, STRAINED
-from labnnum.diagnosis.nonlinear.laws import SHAPES
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
@@ -178,10 +176,10 @@ class _Whole:
                 second = self._above(under)
                 if quiet.named and (second is None or second.reason == UNCONFIRMED):
                     return None  # with that in the model there is nothing nonlinear
-        if second is not None and under is not None and second.gained and _twice(second):
-            again = self._unsprung(second, under)
+        if not sure and second is not None and better(second, NOISY):
+            again = self._unsprung(second, under) if under is not None and _twice(second) else None
             second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
-        if not better(second, NOISY) and not sure:
+        elif not sure:
             whole = self.law(self.engine, known=self.known, strong=False if early else None)
             if found is None or (whole is not None and whole.misfit < found.misfit):
                 found = whole
@@ -241,7 +239,6 @@ class _Whole:
         held = dict(zip([t.place for t in _held(second)], last.x[n:more], strict=False))
         plain: list[Lead] = []
         stiffer: list[Lead] = []
-        longer: list[Lead] = []
         for i, t in enumerate(second.laws):
             p = np.zeros(N_P)
             p[: last.terms[i].n] = last.law(i)[0]
@@ -249,10 +246,7 @@ class _Whole:
             plain.append(replace(t.lead, p=p, mechanism="stick-slip" if one else t.mechanism))
             k = sum(v for place, v in held.items() if _same_place(place, t.spot.place))
             stiffer.append(replace(plain[-1], p=np.concatenate([[p[0] + k], p[1:]])))
-            longer.append(_longer(t.lead, p, k) or stiffer[-1])
-        forms = [tuple(leads) for leads in (plain, stiffer, longer)]
-        forms = forms if any(a.mechanism == "sliders" for a in longer) else forms[:2]
-        return self._with(under.faults, self.engine, given=Given(tuple(forms), base, NOISY))
+        return self._with(under.faults, self.engine, given=Given((tuple(plain), tuple(stiffer)), base, NOISY))
 
     def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
         """The law, sought once more where one that leaves too much stands beside something linear that the base pays
@@ -392,8 +386,6 @@ def _certain(found: NonlinearAnswer) -> bool:
     return found.reason in FOUND or (found.reason == EQUAL and found.misfit < CLEAR * base)
 
 
-WIDEST = 0.98
-"""Spread of sliders' limits from which they are fitted, at most."""
 ONE_LIMIT = 0.1
 """Spread of sliders' limits below which they are as well one slider."""
 
@@ -432,21 +424,7 @@ def _twice(found: NonlinearAnswer | None) -> bool:
     """Whether a law acts where its structure holds a mechanism already, which may be the law as the quietest level sees
     it: a slider that sticks is a spring.
     """
-    return found is not None and any(_same_place(t.place, n.spot.place) for t in _held(found) for n in found.laws)
-
-
-def _longer(lead: Lead, p: NDArray, k: float) -> Lead | None:
-    """Sliders of which the first that let go have the parameters `p`, and the spring `k` beside them is the others,
-    which stick: their limits go on evenly. None where that is no slider.
-    """
-    if SHAPES[lead.mechanism].law not in ("stick-slip", "sliders") or p[0] <= 0 or p[0] + k <= 0:
-        return None
-    spread = float(p[2]) if lead.mechanism == "sliders" else 0.0
-    first, width = p[1] / p[0] * (1 - spread), 2 * max(spread, ONE_LIMIT) * p[1] / p[0] * (p[0] + k) / p[0]
-    mean = first + width / 2
-    out = np.zeros(N_P)
-    out[:3] = p[0] + k, (p[0] + k) * mean, min(width / 2 / mean, WIDEST)
-    return replace(lead, p=out, mechanism="sliders")
+    return found is not None and any(_same_place(t.place, n.place) for t in _held(found) for n in found.named)
 
 
 def _same_place(a: Place, b: Place) -> bool:
