@@ -26,7 +26,7 @@ from labnnum.diagnosis.nonlinear.explore import NOISY, Prospect, explore, resume
 from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
-from labnnum.diagnosis.nonlinear.locate import Lead, spots
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.pairs import BETTER, paired, study_of
 from labnnum.diagnosis.nonlinear.records import Split, changed, split
 from labnnum.diagnosis.nonlinear.run import Run
@@ -43,7 +43,7 @@ from labnnum.diagnosis.nonlinear.study import (
     yielding_kin,
 )
 from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
-from labnnum.diagnosis.nonlinear.timing import timing, told
+from labnnum.diagnosis.nonlinear.timing import Timed, timing, told
 from labnnum.diagnosis.nonlinear.valley import deepened
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -94,132 +94,188 @@ def answer(
     given : Given, optional
         Laws that were found on another engine, which are not looked for but fitted.
     """
-    identified = isinstance(engine.structure, ModalStructure)
     parts = parts_of(engine, train, test, others, span)
     if parts is None:
         return None
-    train, test, whole = list(parts.train), list(parts.test), parts.whole
-    runs = [o.run for o in train if o.run is not None]
-    i = quietest(runs)
-    point = base_point(engine, train[i], scatter, span)
-    if known:
-        progress("fitting the laws of the model")
-        held = of_known(engine, point, runs, i, known, scatter)
-        if held is not None and held.best.made.data_part < MISFIT * held.best.made.count:
-            made = decide(held, [held.best], train, test, scatter, limits, whole)
-            return replace(made, named=(), place=None, reason=KNOWN)
-    site = engine.site(places.nodes, places.elements, places.supports)
-    every = spots(engine, site)
-    timed = timing(train, every) if nearly else []
-    if told(timed, limits):
-        every = [s for s in every if s.place == timed[0].spot.place]
-
-    def exploring(some: Sequence[Observation]) -> Prospect | None:
-        own = base_point(engine, some[i], scatter, span)
-        return explore(
-            engine,
-            own,
-            [o.run for o in some if o.run is not None],
-            i,
-            every,
-            scatter,
-            lines=FEW,
-            carry_on=False,
-            unnamed=not identified,
-        )
-
-    if given is not None:
-        progress("fitting the law as it is without that in the model")
-        seen = resumed(engine, point, runs, i, every, scatter, given.leads, given.base)
-    else:
-        seen = explore(engine, point, runs, i, every, scatter, unnamed=not identified, strong=strong, progress=progress)
-    if seen is None and strong:
-        return None
-    if given is not None and (seen is None or seen.level > given.most):
+    one = _Search(engine, parts, others, scatter, limits, span, progress, nearly)
+    held = one.of_model(known) if known else None
+    if held is not None:
+        return held
+    one.look_around(places)
+    seen = one.given(given) if given is not None else one.explored(strong)
+    if seen is None and (strong or given is not None):
         return None
     if seen is not None and doubted is None and not nearly and seen.idle:
         return None
     if seen is not None and doubted is None and seen.nameless:
-        return unsimulated(seen, train, test, scatter)
-    believed: tuple[Observation, ...] = ()
-    deep: list[Made] = []
+        return one.place_alone(seen)
+    if doubted is not None:
+        again = one.exploring([without(o, doubted) for o in one.train])
+        return None if again is None else one.left_out(doubted, again)
+    done = None if seen is None else one.laws(seen, given)
+    lying = one.suspected(seen, done) if suspicious else None
+    if lying is None and done is None and seen is not None and one.far(seen):
+        return one.place_alone(seen)
+    whole = None if lying is None or seen is None else back(seen, lying[1])
+    if whole is not None:  # it was the way to the law that was hard to find, not the channel that lied
+        return one.decided(one.pursued(whole) or done)
+    return one.decided(done) if lying is None else one.left_out(*lying)
 
-    def pursued(seen: Prospect) -> tuple[Study, list[Tried]] | None:
-        found = search(seen, progress, unsure=nearly > 0)
+
+_Found = tuple[Study, list[Tried]]
+"""The study in which laws were sought, and the laws."""
+
+
+class _Search:
+    """One search for laws, and its steps."""
+
+    def __init__(
+        self, engine: Engine, parts: Split, others: Sequence[Observation], scatter: Scatter, limits: Limits,
+        span: tuple[float, float], progress: Callable[[str], None], nearly: float,
+    ) -> None:  # fmt: skip
+        self.engine, self.scatter, self.limits, self.span = engine, scatter, limits, span
+        self.train, self.test, self.whole, self.others = list(parts.train), list(parts.test), parts.whole, others
+        self.progress, self.nearly = progress, nearly
+        self.identified = isinstance(engine.structure, ModalStructure)
+        self.runs = _runs(self.train)
+        self.calm = quietest(self.runs)
+        self.point = base_point(engine, self.train[self.calm], scatter, span)
+        self.every: list[Spot] = []
+        self.timed: list[Timed] = []
+        self.deep: list[Made] = []
+
+    def of_model(self, known: Sequence[Lead]) -> NonlinearAnswer | None:
+        """That the laws which the model holds explain the runs, where they do."""
+        self.progress("fitting the laws of the model")
+        held = of_known(self.engine, self.point, self.runs, self.calm, known, self.scatter)
+        if held is None or held.best.made.data_part >= MISFIT * held.best.made.count:
+            return None
+        made = decide(held, [held.best], self.train, self.test, self.scatter, self.limits, self.whole)
+        return replace(made, named=(), place=None, reason=KNOWN)
+
+    def look_around(self, places: Places) -> None:
+        """The places where a law may act, by the timing of distortion where that tells."""
+        self.every = spots(self.engine, self.engine.site(places.nodes, places.elements, places.supports))
+        self.timed = timing(self.train, self.every) if self.nearly else []
+        if told(self.timed, self.limits):
+            self.every = [s for s in self.every if s.place == self.timed[0].spot.place]
+
+    # ------------------------------------------------------------ along the motions that were measured
+
+    def explored(self, strong: bool | None) -> Prospect | None:
+        """What the motions promise."""
+        return explore(
+            self.engine, self.point, self.runs, self.calm, self.every, self.scatter, unnamed=not self.identified,
+            strong=strong, progress=self.progress,
+        )  # fmt: skip
+
+    def exploring(self, some: Sequence[Observation]) -> Prospect | None:
+        """What the motions of other observations of the same runs promise, on a few lines."""
+        own = base_point(self.engine, some[self.calm], self.scatter, self.span)
+        return explore(
+            self.engine, own, _runs(some), self.calm, self.every, self.scatter, lines=FEW, carry_on=False,
+            unnamed=not self.identified,
+        )  # fmt: skip
+
+    def given(self, given: Given) -> Prospect | None:
+        """What laws that were found on another engine promise; None where that is too little."""
+        self.progress("fitting the law as it is without that in the model")
+        seen = resumed(
+            self.engine, self.point, self.runs, self.calm, self.every, self.scatter, given.leads, given.base
+        )  # fmt: skip
+        return None if seen is None or seen.level > given.most else seen
+
+    def far(self, seen: Prospect) -> bool:
+        """Whether no law comes near enough to be simulated."""
+        return seen.hopeless and not self.identified
+
+    def suspected(self, seen: Prospect | None, done: _Found | None) -> tuple[int, Prospect] | None:
+        """The response without which a law explains what none does with it, and what the motions promise then."""
+        last = None if done is None else done[1][-1]
+        if self.whole or self.nearly or tired() or not (last is None or _poor(last)):
+            return None
+        return suspect(self.train, seen, self.exploring)
+
+    # ------------------------------------------------------------ by simulation
+
+    def laws(self, seen: Prospect, given: Given | None) -> _Found | None:
+        """The laws that the motions promise, fitted by simulation."""
+        if given is not None and seen.near[0].more:
+            return study_of(seen, list(seen.near), self.scatter, self.limits.further)
+        return self.both(seen) if self.far(seen) else self.pursued(seen)
+
+    def pursued(self, seen: Prospect) -> _Found | None:
+        """One law after the other, or two at once where the best one leaves too much."""
+        found = search(seen, self.progress, unsure=self.nearly > 0)
         if found is None:
             return None
-        progress("comparing places and laws")
-        tried = refined(found, scatter, rivals(found, every, scatter))
+        self.progress("comparing places and laws")
+        tried = refined(found, self.scatter, rivals(found, self.every, self.scatter))
         if not tried:
             return None
-        tried = [corners(found, tried, scatter, POOR), *tried[1:]]
-        if not identified:  # the base of such a model is the quietest level's, and no law has bent it
-            best = fine_enough(found, anew(found, tried, scatter), scatter)
-            best = deepened(found, best, scatter)
-            deep.append(best.made)
-            tried = [*yielding_kin(found, best, scatter), *tried[1:]]
-            tried = [*_ahead(nameless_kin(found, tried[0], scatter), tried[0], limits), *tried]
-        found = replace(found, tried=tuple(tried), base=base_again(found, scatter))
-        two = both(seen, tried[0]) if not identified and _poor(tried[0]) else None
-        return two or (found, laws_of(found, every, train, test, scatter, limits, progress, identified))
+        tried = [corners(found, tried, self.scatter, POOR), *tried[1:]]
+        if not self.identified:  # the base of such a model is the quietest level's, and no law has bent it
+            best = self._deepened(found, fine_enough(found, anew(found, tried, self.scatter), self.scatter))
+            tried = [*yielding_kin(found, best, self.scatter), *tried[1:]]
+            tried = [*_ahead(nameless_kin(found, tried[0], self.scatter), tried[0], self.limits), *tried]
+        found = replace(found, tried=tuple(tried), base=base_again(found, self.scatter))
+        two = self.both(seen, tried[0]) if not self.identified and _poor(tried[0]) else None
+        return two or (
+            found,
+            laws_of(
+                found, self.every, self.train, self.test, self.scatter, self.limits, self.progress, self.identified
+            ),
+        )  # fmt: skip
 
-    def both(seen: Prospect, one: Tried | None = None) -> tuple[Study, list[Tried]] | None:
+    def both(self, seen: Prospect, one: Tried | None = None) -> _Found | None:
         """Two laws that were sought together, where they explain what the best `one` does not."""
-        pairs = [] if tired() else paired(seen, every, progress)
+        pairs = [] if tired() else paired(seen, self.every, self.progress)
         if not pairs:
             return None
-        progress("comparing pairs of nonlinear laws")
-        found, laws = study_of(seen, pairs, scatter, limits.further)
+        self.progress("comparing pairs of nonlinear laws")
+        found, laws = study_of(seen, pairs, self.scatter, self.limits.further)
         level = laws[-1].made.data_part / laws[-1].made.count
         before = np.inf if one is None else one.made.data_part / one.made.count
         return (found, laws) if level < min(NOISY, BETTER * before) else None
 
-    done: tuple[Study, list[Tried]] | None = None
-    lying: tuple[int, Prospect] | None = None
-    if doubted is not None:
-        again = exploring([without(o, doubted) for o in train])
-        lying = None if again is None else (doubted, again)
-    else:
-        far = seen is not None and seen.hopeless and not identified
-        if seen is not None and given is not None and seen.near[0].more:
-            done = study_of(seen, list(seen.near), scatter, limits.further)
-        elif seen is not None and not far:
-            done = pursued(seen)
-        elif seen is not None and not identified:
-            done = both(seen)
-            far = done is None
-        last = None if done is None else done[1][-1].made
-        doubtful = last is None or last.data_part > POOR * last.count
-        if suspicious and not (whole or nearly or tired()) and doubtful:
-            lying = suspect(train, seen, exploring)
-        if lying is None and seen is not None and far:
-            return unsimulated(seen, train, test, scatter)
-        if lying is not None and seen is not None:
-            whole_again = back(seen, lying[1])
-            if whole_again is not None:  # it was the way to the law that was hard to find, not the channel that lied
-                done, lying = pursued(whole_again) or done, None
-    if lying is not None:
-        progress(f"without channel {runs[0].outputs[lying[0]].name}")
-        believed = (*train, *test)
-        train, test = ([without(o, lying[0]) for o in part] for part in (train, test))
-        done = pursued(finer(lying[1]))
-    if done is None:
-        return None
-    found, laws = done
-    more = records(others, span, runs[0].miss) if nearly and not whole else []
-    if more:
-        progress("fitting records that are not periodic")
-        laws[-1] = joined(found, laws[-1], more, scatter)
-    if not identified and all(laws[-1].made is not m for m in deep):
-        laws[-1] = deepened(found, laws[-1], scatter)
-    made = decide(found, laws, train, test, scatter, limits, whole, nearly or NEARLY, timed)
-    if lying is None:
-        return made
-    every_channel = linearised(found, made.laws[-1].made, made.orbits, believed, scatter, lying[0])
-    return replace(
-        made, lying=lying[0], linearised=tuple(every_channel[: len(train)]),
-        linearised_held_out=tuple(every_channel[len(train) :]),
-    )  # fmt: skip
+    def _deepened(self, found: Study, best: Tried) -> Tried:
+        """The fit at the bottom of its valley."""
+        best = deepened(found, best, self.scatter)
+        self.deep.append(best.made)
+        return best
+
+    # ------------------------------------------------------------ the answer
+
+    def place_alone(self, seen: Prospect) -> NonlinearAnswer:
+        """The answer where no law is simulated."""
+        return unsimulated(seen, self.train, self.test, self.scatter)
+
+    def decided(self, done: _Found | None) -> NonlinearAnswer | None:
+        """The answer from the laws; None where there are none."""
+        if done is None:
+            return None
+        found, laws = done
+        more = records(self.others, self.span, self.runs[0].miss) if self.nearly and not self.whole else []
+        if more:
+            self.progress("fitting records that are not periodic")
+            laws[-1] = joined(found, laws[-1], more, self.scatter)
+        if not self.identified and all(laws[-1].made is not m for m in self.deep):
+            laws[-1] = self._deepened(found, laws[-1])
+        return decide(
+            found, laws, self.train, self.test, self.scatter, self.limits, self.whole, self.nearly or NEARLY, self.timed
+        )  # fmt: skip
+
+    def left_out(self, channel: int, seen: Prospect) -> NonlinearAnswer | None:
+        """The answer without a response, whose FRFs and every other's are then freed of the law for a linear search."""
+        self.progress(f"without channel {self.runs[0].outputs[channel].name}")
+        believed, n = (*self.train, *self.test), len(self.train)
+        self.train, self.test = ([without(o, channel) for o in part] for part in (self.train, self.test))
+        done = self.pursued(finer(seen))
+        made = self.decided(done)
+        if done is None or made is None:
+            return None
+        every = linearised(done[0], made.laws[-1].made, made.orbits, believed, self.scatter, channel)
+        return replace(made, lying=channel, linearised=tuple(every[:n]), linearised_held_out=tuple(every[n:]))
 
 
 def parts_of(
@@ -258,6 +314,11 @@ def _ahead(other: Tried | None, best: Tried, limits: Limits) -> list[Tried]:
 def _poor(last: Tried) -> bool:
     """Whether a law leaves so much that something else acts beside them."""
     return last.made.data_part > POOR * last.made.count
+
+
+def _runs(some: Sequence[Observation]) -> list[Run]:
+    """Runs of observations that have one."""
+    return [o.run for o in some if o.run is not None]
 
 
 def _within(o: Observation, span: tuple[float, float]) -> Observation:
