@@ -124,6 +124,7 @@ def _further(race: Race, terms: Sequence[Term], rough: Sequence[Lead]) -> None:
         if task.counts:
             _otherwise(race, terms)
             _again(race, terms, done)
+        _mirrored(race, terms)
 
 
 def no_peak(task: Task, c: Candidate) -> bool:
@@ -189,6 +190,38 @@ def _elsewhere(race: Race, terms: Sequence[Term], done: set[int], n: int = 4) ->
     leads = shortlist(grid_score(task.engine, task.coarse, task.scatter, sized, x, before.terms), n)
     leads = [Lead(own[str(lead.term.place), lead.term.variant], lead.start, lead.gain) for lead in leads]
     race.run([Entry(lead, None, origin) for lead in leads])
+
+
+TWIN = 0.99
+"""Correlation of the motions' sizes over the modes from which on a place is another one's mirror image."""
+
+
+def _mirrored(race: Race, terms: Sequence[Term], n: int = 2) -> None:
+    """The leader's mechanism at mirror images of its place, exactly as the leader has it, tried before or not: near
+    each resonance they do the same, so that which of the two a search has settled is luck of its starts.
+    """
+    task, before, winner = race.task, race.before, race.leader
+    shape = task.engine.state(task.engine.theta0).shape[:, task.engine.band_modes]
+    own, last = _motions(winner.last.sought, shape), winner.last
+    kin = [t for t in terms if t.mechanism.id == last.mechanism.id and t.n == last.n and t.place != last.place]
+    twins = [(_likeness(own, _motions(t, shape)), t) for t in kin if t.variant == last.sought.variant]
+    origin = winner_base(before, winner)
+    p = winner.fit.point.terms[winner.fit.point.terms.size - last.n :]
+    best = [t for likeness, t in sorted(twins, key=lambda pair: -pair[0]) if likeness > TWIN][:n]
+    race.run([Entry(Lead(t, p, 0.0), None, origin) for t in best])
+
+
+def _motions(term: Term, shape: NDArray) -> list[NDArray[np.float64]]:
+    """How far each mode moves each group of the term's columns, at length one over the modes."""
+    sizes = [np.linalg.norm(g.columns.T @ shape, axis=0) for g in term.groups]
+    return [x / max(float(np.linalg.norm(x)), 1e-300) for x in sizes]
+
+
+def _likeness(a: Sequence[NDArray], b: Sequence[NDArray]) -> float:
+    """The least correlation of two terms' motions, group by group; nothing where they have none in common."""
+    if not a or len(a) != len(b):
+        return 0.0
+    return min(float(x @ y) for x, y in zip(a, b, strict=True))
 
 
 def _again(race: Race, terms: Sequence[Term], done: set[int], n: int = 5) -> None:

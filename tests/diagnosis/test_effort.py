@@ -10,7 +10,7 @@ from labnnum.diagnosis.nonlinear import effort
 from labnnum.diagnosis.nonlinear.beside import _ends
 from labnnum.diagnosis.nonlinear.chain import twins
 from labnnum.diagnosis.nonlinear.effort import counted, marched, spent, tired
-from labnnum.diagnosis.nonlinear.fitting import _settled
+from labnnum.diagnosis.nonlinear.fitting import _tried
 from labnnum.diagnosis.nonlinear.locate import Spot
 from labnnum.errors import ModelError
 from labnnum.mechanisms.base import Place
@@ -59,15 +59,19 @@ def test_a_mirror_image_is_told_from_what_only_resembles(symmetric):
     assert [s.place.id for s in found] == (["3"] if symmetric else [])
 
 
-def test_a_step_to_where_the_structure_is_none_is_a_step_too_far():
-    def settle(x, orbits, steps):
-        if x[0] < 0:
-            raise ModelError("the model is singular")
-        return [None]
+@pytest.mark.parametrize("where", ["settle", "value"])
+def test_a_step_to_where_the_structure_is_none_is_a_step_too_far(where):
+    def none_below_zero(step, made):
+        def called(x, *_):
+            if step == where and x[0] < 0:
+                raise ModelError("the model is singular")
+            return made
 
-    joint = SimpleNamespace(settle=settle)
-    assert _settled(joint, np.array([1.0]), [None]) == [None]
-    assert _settled(joint, np.array([-1.0]), [None]) is None
+        return called
+
+    joint = SimpleNamespace(settle=none_below_zero("settle", [None]), value=none_below_zero("value", 3.0))
+    assert _tried(joint, np.array([1.0]), [None], np.zeros(0)) == (3.0, [None])
+    assert _tried(joint, np.array([-1.0]), [None], np.zeros(0)) == (np.inf, [None])
 
 
 @pytest.mark.parametrize(

@@ -72,9 +72,7 @@ def fit(
         moved = False
         for _ in range(5):
             trial = _step(joint, x, gradient, hessian, damping, reach)
-            found = _settled(joint, trial, orbits)
-            settled = found is not None and all(o is None or np.isfinite(o.closing) for o in found)
-            after = joint.value(trial, found, b) if settled and found is not None else np.inf
+            after, found = _tried(joint, trial, orbits, b)
             if np.isfinite(after) and after < value:
                 moved = True
                 break
@@ -83,7 +81,7 @@ def fit(
             converged = True
             break
         gain = value - after
-        x, orbits = trial, found or orbits
+        x, orbits = trial, found
         if gain < max(tolerance * value, floor):
             stalled += 1
             if not always or damping < SHORT or stalled > STALLS:
@@ -155,12 +153,18 @@ def promised(joint: Joint, made: Made) -> tuple[float, float, NDArray[np.float64
     return value, float(2.0 * gradient @ step - step @ hessian @ step), there
 
 
-def _settled(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> list[Orbit | None] | None:
-    """Steady states at `x`; None where the structure is none there: a step that went too far."""
+def _tried(
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], b: NDArray
+) -> tuple[float, Sequence[Orbit | None]]:
+    """Objective at `x` and the steady states there; infinite where there are none, or where the structure is none: a
+    step that went too far.
+    """
     try:
-        return joint.settle(x, orbits, 8)
+        found = joint.settle(x, orbits, 8)
+        settled = all(o is None or np.isfinite(o.closing) for o in found)
+        return (joint.value(x, found, b) if settled else np.inf), found
     except ModelError:
-        return None
+        return np.inf, orbits
 
 
 GROUPS = 40
