@@ -184,9 +184,10 @@ class Problem:
             low = np.min(np.abs(self.data.s.imag))
             held = sc.suspension * r.rigid * r.lift * (low / self.data.s) ** 2
             parts.append(np.stack([held, 0.5j * held]))
-        if self.data.s.real.min() > 0:  # hits: an offset that was not taken off whole stands as 1/s in each row
+        if self.data.s.real.min() > 0:  # hits: an offset not taken off is 1/s in each row, from the record's start
             size = np.median(np.abs(self.data.value), axis=2, keepdims=True)
             offset = sc.offset * size * np.min(np.abs(self.data.s)) / self.data.s
+            offset = offset * np.exp(1j * self.data.s.imag * self.data.lead)
             parts.append(np.stack([offset, 1j * offset]))
         columns = self._rows(np.concatenate([*parts, *self._moved_supports(r, x)]))
         for i in self._loose:

@@ -259,12 +259,14 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     """One observation of the hits of one level: H1 over all, seen through an exponential window.
 
     Each contiguous span is a hit. The window brings the response down to a hundredth at the end of the record; what
-    it does to the FRF is exact, a shift of i omega to i omega + decay, and is recorded as "window_decay".
+    it does to the FRF is exact, a shift of i omega to i omega + decay, and is recorded as "window_decay"; how many
+    seconds the records begin before the blow as "lead".
     """
     first = recordings[0]
     x, spectra, decay = hit_spectra(recordings)
     n = x.shape[2]
     u, y = spectra[:, first.inputs[0]], spectra[:, list(first.outputs)]
+    lead = float(np.median(np.argmax(np.abs(x[:, first.inputs[0]]), axis=1))) / first.rate
     power = np.sum(np.abs(u) ** 2, axis=0)
     h = np.sum(y * np.conj(u)[:, None], axis=0) / power
     frequency = np.arange(n // 2 + 1) * (first.rate / n)
@@ -280,7 +282,7 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     frf = Frf(
         frequency[keep], h[:, None][..., keep], tuple(first.channels[i] for i in first.outputs),
         (first.channels[first.inputs[0]],), None, variance[:, None][..., keep], float(len(x)), "H1",
-        {"window_decay": decay, "rate": first.rate, "n_segment": n},
+        {"window_decay": decay, "rate": first.rate, "n_segment": n, "lead": lead},
         shared=None if raised is None else raised[..., keep],
     )  # fmt: skip
     level = float(np.median(np.max(np.abs(x[:, first.inputs[0]]), axis=1)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,8 @@ class Data:
     s: NDArray[np.complex128]
     value: NDArray[np.complex128]
     sigma: NDArray[np.float64]
+    lead: float = 0.0
+    """How many seconds before the blow the records of hits begin: there an offset begins that was not taken off."""
 
     def with_floor(self, floor: float | NDArray) -> Data:
         """The same with a relative error, one or (n_out, n_in), added to `sigma`: of values and of rows' medians."""
@@ -63,4 +65,4 @@ class Data:
         size = np.abs(self.value)
         typical = np.median(size, axis=2, keepdims=True)
         sigma = np.sqrt(self.sigma**2 + (floor * size) ** 2 + (0.3 * floor * typical) ** 2)
-        return Data(self.s, self.value, sigma)
+        return replace(self, sigma=sigma)

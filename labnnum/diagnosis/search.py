@@ -133,7 +133,7 @@ def broaden(engine: Engine, data: Data, point: Point, terms: Sequence[Term], kap
     size = np.maximum(np.abs(value), np.abs(exact))
     typical = np.median(size, axis=2, keepdims=True)
     sigma = np.sqrt(noise**2 + quadrature**2 + (0.01 * size) ** 2 + (0.003 * typical) ** 2)
-    return Data(s, value, sigma)
+    return Data(s, value, sigma, data.lead)
 
 
 def thin(data: Data, n: int = 160) -> Data:
@@ -142,7 +142,7 @@ def thin(data: Data, n: int = 160) -> Data:
         return data
     pick = ((np.arange(n) + 0.5) * data.s.size / n).astype(int)
     s = data.s[pick]
-    return Data(s, data.value[..., pick], data.sigma[..., pick] * np.sqrt(s.size / data.s.size))
+    return Data(s, data.value[..., pick], data.sigma[..., pick] * np.sqrt(s.size / data.s.size), data.lead)
 
 
 def probes(term: Term) -> NDArray[np.float64]:

@@ -92,13 +92,19 @@ def choose_lines(frf: Frf, n: int = 0) -> Frf:
 
 
 def data_of(frf: Frf, scatter: Scatter) -> Data:
-    """Fit data of an Frf whose variance is known; an exponential window becomes a shift of s."""
-    assert frf.covering_variance is not None
-    decay = float(frf.settings.get("window_decay", 0.0))
-    s = np.asarray(decay + 1j * frf.omega, complex)
+    """Fit data of an Frf whose variance is known."""
     rows = scatter.rows
     floor = scatter.floor if rows is None or rows.shape != frf.value.shape[:2] else rows
-    return Data(s, frf.value, np.sqrt(frf.covering_variance)).with_floor(floor)
+    return measured(frf).with_floor(floor)
+
+
+def measured(frf: Frf) -> Data:
+    """Fit data of an Frf, with its noise only; an exponential window becomes a shift of s."""
+    assert frf.covering_variance is not None
+    made = frf.settings
+    lead = made.get("lead", made.get("pretrigger", 0) / made.get("rate", np.inf))
+    s = np.asarray(float(made.get("window_decay", 0.0)) + 1j * frf.omega, complex)
+    return Data(s, frf.value, np.sqrt(frf.covering_variance), float(lead))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,9 @@ from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.observe import Observation
-from labnnum.diagnosis.scatter import Data, Scatter
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.search import broaden
+from labnnum.diagnosis.task import measured
 from labnnum.frf import Frf
 
 LADDER = (0.05, 0.015, 0.005)
@@ -38,9 +39,7 @@ def base_point(engine: Engine, o: Observation, scatter: Scatter, span: tuple[flo
     frf: Frf = o.frf.lines(*span)
     if frf.frequency.size > 400:
         frf = frf.at(np.unique(np.linspace(0, frf.frequency.size - 1, 400).round().astype(int)))
-    assert frf.covering_variance is not None
-    s = np.asarray(float(frf.settings.get("window_decay", 0.0)) + 1j * frf.omega, complex)
-    data = Data(s, frf.value, np.sqrt(frf.covering_variance)).with_floor(scatter.floor)
+    data = measured(frf).with_floor(scatter.floor)
     start = engine.start()
     x = start.vector()
     rungs = [broaden(engine, data, start, (), kappa) for kappa in LADDER]
