@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.bench import Study, Tried
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
+from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
+from labnnum.diagnosis.nonlinear.explore import LINES, looked, nearest
 from labnnum.diagnosis.nonlinear.further import further, needed
 from labnnum.diagnosis.nonlinear.locate import Spot
-from labnnum.diagnosis.nonlinear.study import at_places
+from labnnum.diagnosis.nonlinear.study import UNSURE, at_places
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Limits
@@ -87,14 +89,24 @@ def chain(
 
 
 def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
-    """The winning law at the spots that explain the distortion next best, and at mirror images of its own."""
+    """The winning law at the spots that explain the distortion next best, and at mirror images of its own; where it
+    leaves far more than noise, also where the distortion comes from as the winner's base recovers it.
+    """
     best = found.best
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
     own = next((q.gain for q in found.recovered if q.spot.place == best.spot.place), found.recovered[0].gain)
     near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
     alike = [s for s in twins(found, best.spot, every) if (s.place, s.axis) not in have]
     near = [s for s in near if not any(s.place == o.place for o in alike)]
-    return at_places(found, best, [*alike, *near][:3], scatter)
+    made = at_places(found, best, [*alike, *near][:3], scatter)
+    reached = min([best, *made], key=lambda t: t.cost)
+    if not (reached.simulated and reached.named) or reached.made.data_part < UNSURE * reached.made.count or tired():
+        return made
+    have |= {(s.place, s.axis) for s in [*alike, *near][:3]}
+    plain = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES).joint([])
+    again, _ = looked(plain, reached.made.x, every)
+    there = [q.spot for q in nearest(again) if (q.spot.place, q.spot.axis) not in have][:ANEW]
+    return [*made, *at_places(found, reached, there, scatter)]
 
 
 def twins(found: Study, spot: Spot, every: Sequence[Spot]) -> list[Spot]:
@@ -115,6 +127,9 @@ def twins(found: Study, spot: Spot, every: Sequence[Spot]) -> list[Spot]:
 TWIN, MOST = 0.99, 2
 """Correlation of the motions' sizes over the modes from which on a spot is another one's mirror image; and how many of
 these are tried."""
+
+ANEW = 2
+"""Spots at which a law that leaves far more than noise is tried, as its own base recovers the force."""
 
 RIVAL = 0.8
 """Part of what a general law removes at the best place that it must remove at another for the law to be tried there."""
