@@ -233,6 +233,9 @@ def named_of(made: Fit, i: int, confidence: float, scatter: Scatter) -> Named:
 
 def _best_place(selection: Selection) -> Place | None:
     base, law = selection.chain[0], selection.general
+    near = min((c.cost for c in (*selection.chain[:2], law) if c is not None), default=np.inf)
+    if selection.free is not None and selection.free.cost < near:
+        return selection.free.last.place
     if len(selection.chain) < 2:
         if law is not None and law.cost < base.cost:
             return law.last.place

@@ -24,7 +24,7 @@ from labnnum.frf import Frf
 from labnnum.mechanisms import CATALOGUE
 from labnnum.mechanisms.base import Mechanism, Term
 from labnnum.mechanisms.extended import ExtendedStructure
-from labnnum.mechanisms.local_law import LocalLaw, PairLaw
+from labnnum.mechanisms.local_law import FreeLaw, LocalLaw, PairLaw
 from labnnum.mechanisms.loose import LooseChannel, LooseSupport
 from labnnum.structures.base import Structure
 
@@ -116,6 +116,7 @@ def diagnose(
             return whole
     _, terms = all_terms(engine, where, catalogue)
     _, general = all_terms(engine, where, UNNAMED if catalogue else ())
+    _, free = all_terms(engine, where, (FreeLaw(),) if catalogue and not hint else ())
     measured = all(o.kind != "frf" for o in observations)
     selection = select(
         engine,
@@ -129,6 +130,7 @@ def diagnose(
         beside=beside,
         depth=depth,
         hint=hint,
+        free=free,
         progress=progress,
     )
     progress("weighing the answer")

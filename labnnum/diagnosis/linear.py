@@ -33,7 +33,7 @@ from labnnum.diagnosis.task import (
     winner_base,
     with_terms,
 )
-from labnnum.diagnosis.unnamed import told_all, told_by, unnamed
+from labnnum.diagnosis.unnamed import freely, told_all, told_by, unnamed
 from labnnum.diagnosis.verdict import Limits
 from labnnum.errors import ModelError
 from labnnum.frf import Frf
@@ -127,7 +127,8 @@ def with_noise_found(task: Task, held: Sequence[Term], start: Point) -> Data:
 def select(
     engine: Engine, frf: Frf, terms: Sequence[Term], general: Sequence[Term], scatter: Scatter, limits: Limits,
     *, measured_noise: bool = True, initial: Sequence[tuple[Term, NDArray]] = (), depth: int = 3, width: int = 8,
-    beside: bool = False, hint: bool = False, progress: Callable[[str], None] = lambda text: None,
+    beside: bool = False, hint: bool = False, free: Sequence[Term] = (),
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Selection:  # fmt: skip
     """Add the best term while it pays (`limits`), `depth` at most.
 
@@ -150,6 +151,8 @@ def select(
         mechanism does.
     hint : bool
         Whether the search ends where one mechanism leaves far more than noise.
+    free : sequence of Term
+        Free laws, for the place of what neither names nor general laws come near.
     """
     lines = choose_lines(frf)
     data = data_of(lines, scatter)
@@ -175,6 +178,7 @@ def select(
     chain = [Candidate(held, base, base.objective)]
     stages: list[tuple[Candidate, ...]] = []
     law: Candidate | None = None
+    laws: list[Candidate] = []
     gains: dict[Place, float] = {}
     for stage in range(depth):
         left = still_open(terms, chain[-1].terms)
@@ -234,7 +238,9 @@ def select(
     if len(chain) > 2:
         progress("looking again at what came first")
         chain, stages = _revisited(task, terms, chain, stages[: len(chain) - 1], width)
-    return Selection(tuple(chain), tuple(stages), law, gains, task.scatter, task.data)
+    near = [c for c in (chain[-1], law) if c is not None]
+    there = None if any(settled(c.fit, task.data, limits) for c in near) else freely(task, free, chain[0], laws)
+    return Selection(tuple(chain), tuple(stages), law, gains, task.scatter, task.data, there)
 
 
 MUCH = 10.0

@@ -50,6 +50,9 @@ class Selection:
     data: Data
     """What the last fits were fitted to."""
 
+    free: Candidate | None = None
+    """The best free law, where nothing else came near."""
+
 
 QUIET = 0.25
 """Least dispersion that is believed: smaller residuals may be luck, larger ones are taken as they are."""

@@ -38,6 +38,38 @@ def unnamed(task: Task, general: Sequence[Term], base: Candidate, named: Candida
     return sorted(found, key=lambda c: c.cost)
 
 
+FREE = 3
+"""Places, by what a free law there can do from one origin, at which one is fitted."""
+
+
+def freely(task: Task, laws: Sequence[Term], base: Candidate, found: Sequence[Candidate]) -> Candidate | None:
+    """The best free law, which says where something acts that no smooth law comes near; None where none is fitted.
+
+    Begun as unnamed laws are (`_imitated`), from where the best of them, `found`, have put the model's own parameters
+    too, and at their places from themselves, which they hold.
+    """
+    if not laws or base.terms:
+        return None
+    plain = replace(task, counts={})
+    fresh = replace(base, fit=replace(base.fit, point=afresh(task.engine, base)))
+    smooth = [c for c in found if c.last.mechanism.id == "local-law"][:2]
+    race, entries = Race(plain, base), []
+    for rung, origin in ((0, fresh), (1, base), *((2, winner_base(base, c)) for c in smooth)):
+        level = task.ladder[rung]
+        shown = [(*imitated(task.engine, level, origin.fit.point, t), t) for t in laws]
+        shown.sort(key=lambda x: -x[0])
+        entries += [Entry(Lead(t, p, share), rung, origin) for share, p, t in shown[:FREE]]
+    for c in smooth:
+        own = c.fit.point.terms[-c.last.n :]
+        for t in laws:
+            if t.place == c.last.place and t.variant == c.last.variant:
+                start = np.concatenate([own, np.zeros(t.n - own.size)])
+                entries.append(Entry(Lead(t, start, 0.0), None, winner_base(base, c)))
+    race.run(entries)
+    ahead = among(race.found, ())[:2]
+    return min((plain.priced(c.terms, plain.refined(c.fit)) for c in ahead), key=lambda c: c.cost, default=None)
+
+
 def _imitated(task: Task, laws: Sequence[Term], base: Candidate, each: int = 2, n: int = 2) -> list[Candidate]:
     """Laws fitted from the dynamic stiffness that the data show line by line at their places (`locate.imitated`).
 

@@ -95,6 +95,71 @@ class LocalLaw(Mechanism):
             )
 
 
+POLES = 14
+"""Pairs of poles by which a free law follows the band,"""
+BEYOND = (0.6, 1.3)
+"""from below its lowest mode to above its highest."""
+
+
+@final
+@dataclass(frozen=True)
+class FreeStiffness(Law):
+    """A general law and wide resonances side by side over the band, in rad/s: any stiffness that varies no faster than
+    their distance, a delay's too.
+    """
+
+    low: float = 1.0
+    high: float = 2.0
+    inertial: bool = False  # type: ignore[misc]
+    names: tuple[str, ...] = tuple(f"c{i}" for i in range(N_BASIS + 2 * POLES))
+    units: tuple[str, ...] = ("N/m",) * (N_BASIS + 2 * POLES)
+
+    def basis(self, s: NDArray) -> NDArray:
+        """Shape (N_BASIS + 2 POLES, n_f)."""
+        at = np.linspace(BEYOND[0] * self.low, BEYOND[1] * self.high, POLES)[:, None]
+        wide = at[1] - at[0]
+        near, mirror = wide / (s + wide - 1j * at), wide / (s + wide + 1j * at)
+        smooth = GeneralLaw(float(np.sqrt(self.low * self.high))).basis(s)
+        return np.concatenate([smooth, near + mirror, 1j * (near - mirror)])
+
+    def value(self, s: NDArray, p: NDArray) -> NDArray:
+        """g(s)."""
+        return np.asarray(p) @ self.basis(s)
+
+    def derivative(self, s: NDArray, p: NDArray) -> NDArray:
+        """The basis itself."""
+        return self.basis(s)
+
+    def local(self, p: NDArray) -> Local:
+        """A free law is for location; it has no matrices."""
+        raise TypeError("a free law says where, and is not a model to simulate")
+
+
+@final
+@dataclass(frozen=True)
+class FreeLaw(Mechanism):
+    """Any dynamic stiffness at one motion, however it varies: what tells the place where no smooth law comes near."""
+
+    id = "free-law"
+    title = "something without a name that varies within the band"
+    equation = "f = Z(s) u"
+    shows = "whatever it does"
+    told_apart = "named mechanisms need far fewer parameters"
+    symbol = "question mark"
+    reference = "Ibrahim (1977); D'Ambrogio and Fregolent (1990)"
+
+    def terms(self, site: Site) -> Iterable[Term]:
+        """The motions of a `LocalLaw`."""
+        low, high = float(site.omega.min()), float(site.omega.max())
+        n = N_BASIS + 2 * POLES
+        for t in LocalLaw().terms(site):
+            law = FreeStiffness(low, high, t.groups[0].law.inertial)
+            scale = t.parameters[0].upper / 1e3
+            parameters = tuple(Parameter(name, 0.0, -1e4 * scale, 1e4 * scale, "N/m") for name in law.names)
+            starts = np.zeros((1, n))
+            yield Term(self, t.place, parameters, starts, (Group(law, t.groups[0].columns, 0),), t.variant)
+
+
 @final
 @dataclass(frozen=True)
 class PairMatrix(Law):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
+from labnnum.diagnosis.nonlinear.company import beside_others
 from labnnum.diagnosis.nonlinear.decision import (
     KNOWN,
     MISFIT,
@@ -255,6 +256,8 @@ class _Search:
         if done is None:
             return None
         found, laws = done
+        if not self.identified and not tired():
+            found = replace(found, company=beside_others(found, laws, self.scatter))
         more = records(self.others, self.span, self.runs[0].miss) if self.nearly and not self.whole else []
         if more:
             self.progress("fitting records that are not periodic")

@@ -83,6 +83,8 @@ class Study:
     tried: tuple[Tried, ...]
     general: Tried | None
     recovered: tuple[Recovered, ...]
+    company: tuple[Tried, ...] = ()
+    """Rivals of the first of several laws, each beside the others."""
 
     @property
     def best(self) -> Tried:

@@ -62,6 +62,16 @@ def added_to(engine: Engine, rest: Diagnosis) -> Engine | None:
     return None if wider is engine else wider
 
 
+def channels_of(rest: Diagnosis) -> tuple[Named, ...]:
+    """The faults of channels that a linear search beside a law found, named or not, where it found nothing else."""
+    found = _found(rest)
+    if found is None or not faults_of(found.terms, found.fit.point.terms):
+        return ()
+    scatter = rest.detail["selection"].scatter
+    every = tuple(named_of(found.fit, i, SURE, scatter) for i in range(len(found.terms)))
+    return every if all(n.term.mechanism.domain == "channel" for n in every) else ()
+
+
 @dataclass(frozen=True, eq=False)
 class Beneath:
     """Engines with linear physics of the quietest level in their structure, one mechanism each, since one of several is
@@ -78,17 +88,20 @@ def beneath(
     engine: Engine, quiet: Diagnosis, loud: Observation, shares: Mapping[frozenset, float] | None = None
 ) -> Beneath | None:  # fmt: skip
     """The same from the quietest level alone, where most laws are next to linear: the engine with what was found in the
-    structure, and the faults of channels. None where nothing was found.
+    structure, and the faults of channels; of a model that leaves far more than noise only these. None where nothing
+    was found.
 
     Of several mechanisms that one is the law whose place explains most of the distortion (`shares_of`); where nothing
     tells that, the one which the loudest level, `loud`, would change most.
     """
     found = _found(quiet, PROMISING)
-    if found is None or far(found, quiet.detail["selection"].data):
+    if found is None:
         return None
     faults = faults_of(found.terms, found.fit.point.terms)
     if any(f.lost for f in faults):
         return None
+    if far(found, quiet.detail["selection"].data) and len(faults) < len(found.terms):
+        return None  # of what leaves so much only a channel's fault is believed: no law looks like one
     linear = [i for i, t in enumerate(found.terms) if _structural(t)]
     if len(linear) < 2:
         some = [linear]

@@ -61,6 +61,8 @@ class NonlinearAnswer:
     """Vector of the base model that errors are compared with: fitted to all runs, an identified one to the quietest."""
     noise: float = 0.0
     """Relative RMS that noise alone leaves of the responses held out."""
+    reached: tuple[float, float] = (float("nan"), float("nan"))
+    """`extended_error` with the laws, whether they are named or not."""
     gained: bool = True
     """Whether the laws leave less than half of what the base does: something nonlinear is there, named or not."""
     orbits: tuple[Any, ...] = ()
@@ -112,6 +114,9 @@ def decide(
     left = (last.made.data_part - last.made.count) / max(1.0, misfit)
     systematic = misfit > limits.misfit and enough == NEARLY
     lead = lead_over(best.cost, min((t.cost for t in against), default=np.inf), excess, systematic)
+    if found.company and lead < limits.name:
+        near = min(t.made.objective * last.made.count / t.made.count for t in found.company)
+        lead = lead_over(last.made.objective, near, max(1.0, misfit), systematic)
     joint, made = settled_on(found, last, train, test, scatter)
     x, orbits = made
     plain = found.base.x if enough == NEARLY else found.quiet.x
@@ -123,7 +128,7 @@ def decide(
     noise = noise_of(test or train)
     if total < limits.alarm and base_error[1] < max(limits.sound, 3 * noise):
         reason = UNCONFIRMED
-    elif misfit > MISFIT and not nearly:
+    elif misfit > MISFIT and not nearly and not _stands_out(found, best, last, base_error, extended_error):
         reason = NOTHING
     elif not best.named:
         reason = NAMELESS
@@ -164,7 +169,8 @@ def decide(
     return NonlinearAnswer(
         names, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
-        noise, gained, tuple(orbits), held_out=tuple(o.run for o in test if o.run is not None), scatter=scatter,
+        noise, extended_error, gained, tuple(orbits), held_out=tuple(o.run for o in test if o.run is not None),
+        scatter=scatter,
     )  # fmt: skip
 
 
@@ -174,6 +180,22 @@ def _foretells(scores: tuple[tuple[float, int], tuple[float, int]], limits: Limi
     """
     (base, _), (law, n) = scores
     return base > limits.misfit * n and law < limits.unsettled * n and base - law > limits.alarm
+
+
+def _stands_out(
+    found: Study, best: Tried, last: Tried, base_error: tuple[float, float], error: tuple[float, float]
+) -> bool:  # fmt: skip
+    """Whether the laws explain nearly all, and the first of them far more than any other does at any place: what they
+    leave is then something else beside them, or a small error of theirs, and no other name would do.
+    """
+    others = [t for t in found.tried if not t.same(best) and not best.all_of_it < t.all_of_it]
+    if found.general is not None:
+        others.append(found.general)
+    alone = best.cost / best.made.count
+    ahead = all(t.cost / t.made.count > AHEAD * alone for t in others)
+    explains = last.made.objective / last.made.count < EXPLAINS * found.base.objective / found.base.count
+    warped = last.made.prior_part > WARPED * last.made.n_base
+    return ahead and explains and not warped and error[1] < FORETELLS * base_error[1]
 
 
 def lead_over(cost: float, other: float, excess: float, systematic: bool) -> float:
@@ -203,7 +225,7 @@ def unsimulated(
     return NonlinearAnswer(
         (), place, _alternatives(best, rivals, Limits()), _located(found), error, error,
         NAMELESS if seen.nameless else NOTHING, (), (), curves(found, best), found, (best,), seen.level, seen.base.x,
-        noise_of(test or train), seen.nameless, held_out=tuple(o.run for o in test if o.run is not None),
+        noise_of(test or train), gained=seen.nameless, held_out=tuple(o.run for o in test if o.run is not None),
         scatter=scatter,
     )  # fmt: skip
 
@@ -223,6 +245,11 @@ def _level_of(base: Made, other: Tried) -> float:
     return base.objective * other.made.count / base.count
 
 
+EXPLAINS, AHEAD, FORETELLS = 0.05, 2.0, 1 / 3
+"""Part of what the base leaves that laws which stand out may leave; by how much more every other law leaves, each
+alone; the part of the base's held-out error to which they bring it;"""
+WARPED = 100.0
+"""price of the base beside them, of its entries, above which it is another structure: ten deviations each."""
 HALF = 0.5
 """Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
 MOST = 2

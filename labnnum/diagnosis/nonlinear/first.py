@@ -14,6 +14,7 @@ from labnnum.diagnosis.nonlinear.beside import (
     Beneath,
     added_to,
     beneath,
+    channels_of,
     misled,
     quietest_of,
     shares_of,
@@ -174,8 +175,8 @@ class _Whole:
             quiet, under = self._quiet()
             if under is not None:
                 second = self._above(under)
-                if quiet.named and (second is None or second.reason == UNCONFIRMED):
-                    return None  # with that in the model there is nothing nonlinear
+                if quiet.named and (second is None or second.reason == UNCONFIRMED or _idle(second)):
+                    return None  # with that in the model there is nothing nonlinear, or next to nothing
         if not sure and second is not None and better(second, NOISY):
             again = self._unsprung(second, under) if under is not None and _twice(second) else None
             second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
@@ -249,15 +250,28 @@ class _Whole:
         return self._with(under.faults, self.engine, given=Given((tuple(plain), tuple(stiffer)), base, NOISY))
 
     def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
-        """The law, sought once more where one that leaves too much stands beside something linear that the base pays
-        for.
+        """The law, sought once more where one that leaves too much, named or not, stands beside something linear that
+        the base pays for, in the structure or on a channel.
         """
-        if found.reason != NOTHING or not strained(found):
+        much = bool(found.named) and found.misfit > MISFIT
+        if not (found.reason == NOTHING or much) or not strained(found):
             return found
         self.progress("searching for linear physics that hides the law")
-        wider = added_to(self.engine, self.again(found.linearised, found.linearised_held_out, depth=1))
-        second = self.law(wider) if wider is not None else None
-        return second if second is not None and second.named and second.misfit < found.misfit else found
+        rest = self.again(found.linearised, found.linearised_held_out, depth=1)
+        wider = added_to(self.engine, rest)
+        if wider is not None:
+            second = self.law(wider)
+            return second if second is not None and second.named and second.misfit < found.misfit else found
+        wrong = () if self.faults or found.lying is not None else channels_of(rest)
+        faults = [Fault(n.term, n.value) for n in wrong]
+        if not faults or any(f.lost for f in faults):
+            return found
+        second = self._with(faults, self.engine)
+        if second is None or not second.named or second.misfit > BETTER * found.misfit:
+            return found
+        self.faults, self.of_channels = faults, wrong
+        self._mend(faults)
+        return second
 
     # ------------------------------------------------------------ linear physics instead of it and beside it
 
@@ -412,6 +426,12 @@ def _clear(found: NonlinearAnswer) -> bool:
     base = found.study.base.data_part / found.study.base.count
     sure = bool(found.named) or (found.reason == NOTHING and strained(found))
     return sure and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
+
+
+def _idle(second: NonlinearAnswer) -> bool:
+    """Whether a law beside linear physics helps to predict nothing, and the base there leaves little for one."""
+    base = second.study.base
+    return second.reason == USELESS and base.data_part < MISFIT * base.count
 
 
 def _held(found: NonlinearAnswer) -> list[Term]:
