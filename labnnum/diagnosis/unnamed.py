@@ -66,6 +66,11 @@ def freely(task: Task, laws: Sequence[Term], base: Candidate, found: Sequence[Ca
                 start = np.concatenate([own, np.zeros(t.n - own.size)])
                 entries.append(Entry(Lead(t, start, 0.0), None, winner_base(base, c)))
     race.run(entries)
+    if race.found:  # nearer to the truth than any before it, and next to it perhaps
+        there = winner_base(base, race.leader)
+        shown = [(*imitated(task.engine, task.coarse, there.fit.point, t), t) for t in laws]
+        shown = sorted((x for x in shown if x[2] is not race.leader.last), key=lambda x: -x[0])
+        race.run([Entry(Lead(t, p, share), None, there) for share, p, t in shown[:FREE]])
     ahead = among(race.found, ())[:2]
     return min((plain.priced(c.terms, plain.refined(c.fit)) for c in ahead), key=lambda c: c.cost, default=None)
 
