@@ -1,0 +1,62 @@
+"""A law behind a recorder's filter: the filter is fitted, taken off the runs, and the law sought once more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
+from labnnum.diagnosis.nonlinear.mended import Fault
+from labnnum.diagnosis.nonlinear.recorder import Recorder, fitted, harmonics
+from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.scatter import Scatter
+from labnnum.diagnosis.verdict import Named
+
+CLEARLY = 0.9
+"""Part of the held-out error to which the filter must bring it."""
+
+
+class Again(Protocol):
+    """The search on runs from which a filter is taken off."""
+
+    def __call__(self, fault: Fault, carried: NonlinearAnswer | None = None) -> NonlinearAnswer | None:
+        """Laws sought anew, or those of another answer fitted on."""
+        ...
+
+
+def behind_recorder(
+    found: NonlinearAnswer, runs: Sequence[Run], scatter: Scatter, again: Again, progress: Callable[[str], None]
+) -> NonlinearAnswer:  # fmt: skip
+    """The answer with the recorder's filter beside the laws; `found` itself where harmonics show none, or where it
+    does not improve the prediction of runs held out.
+
+    Parameters
+    ----------
+    found : NonlinearAnswer
+        Of the runs as they were recorded.
+    runs : sequence of Run
+        Those fitted to, periodic.
+    """
+    usable = found.laws and found.laws[-1].simulated and all(r.lasting for r in runs)
+    seen = harmonics(found.study, found.laws[-1], runs, scatter) if usable else None
+    if seen is None or not seen.filtered:
+        return found
+    progress("fitting the recorder's filter")
+    first = fitted(found.study, found.laws[-1], runs, scatter, seen)
+    second = None if first is None else again(first.fault)
+    if first is None or second is None or not second.laws or not (second.named or not found.named):
+        return found
+    progress("fitting the recorder's filter with these laws")
+    last = fitted(second.study, second.laws[-1], runs, scatter, seen, first)
+    better = None if last is None else again(last.fault, second)
+    if last is not None and better is not None and better.extended_error[1] < second.extended_error[1]:
+        first, second = last, better
+    if second.extended_error[1] > CLEARLY * found.extended_error[1]:
+        return found
+    return replace(second, recorder=first, named=(*second.named, told(first)) if second.named else ())
+
+
+def told(recorder: Recorder) -> Named:
+    """The filter as a mechanism that is named."""
+    return Named(recorder.fault.term, recorder.value, recorder.std, 0.95)
