@@ -84,22 +84,22 @@ def above(runs: Sequence[Run], made: Sequence[NDArray]) -> Above | None:
         return None
     edges = np.linspace(f.min(), f.max() * (1 + 1e-12), n + 1)
     which = np.clip(np.searchsorted(edges, f, "right") - 1, 0, n - 1)
-    rows = []
+    rows, ratios = [], []
     for i in range(n):
         at = which == i
         count = int(np.count_nonzero(at))
         size, power = float(np.sum(np.abs(m[at]) ** 2)), float(np.sum(np.abs(y[at]) ** 2))
         if count < 2 or size == 0.0 or power == 0.0:
             continue
-        ratio = np.sum(m[at].conj() * y[at]) / size
+        ratio = complex(np.sum(m[at].conj() * y[at]) / size)
         left = float(np.sum(np.abs(y[at] - ratio * m[at]) ** 2))
-        middle = float(np.sum(f[at] * np.abs(m[at]) ** 2) / size)
-        rows.append((middle, ratio, power, min(left * count / (count - 1), power)))
+        rows.append((float(np.sum(f[at] * np.abs(m[at]) ** 2) / size), power, min(left * count / (count - 1), power)))
+        ratios.append(ratio)
     if len(rows) < 2:
         return None
     plain = float(np.sum(np.abs(y - m) ** 2) / np.sum(np.abs(y) ** 2))
-    frequency, ratio, power, left = (np.array(column) for column in zip(*rows, strict=True))
-    return Above(frequency.real, ratio, power.real, left.real, plain, edges)
+    frequency, power, left = np.array(rows).T
+    return Above(frequency, np.array(ratios), power, left, plain, edges)
 
 
 def _gathered(runs: Sequence[Run], made: Sequence[NDArray]) -> tuple[NDArray, NDArray, NDArray]:

@@ -50,12 +50,12 @@ def restarted(found: Study, laws: Sequence[Tried], scatter: Scatter) -> Study | 
     A descent from the recovered motion may end far from where a law fits; beside others it finds the way.
     """
     first, best = laws[0], found.best
-    if len(laws) < 2 or first.same(best) or not (first.named and first.simulated) or len(first.made.terms) > 1:
+    if first.same(best) or not (first.named and first.simulated) or len(first.made.terms) > 1:
         return None
     if first.cost * best.made.count > best.cost * first.made.count:
         return None
     bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(FINE)
-    first = bench.carry_on(first, LONG, always=True, last=first.made.terms[0].last)
+    first = bench.carry_on(first, LONG, always=True, last=any(t.last for t in first.made.terms))
     if first.cost * best.made.count > best.cost * first.made.count:
         return None
     return replace(found, tried=(first, *(t for t in found.tried if not t.same(first))))

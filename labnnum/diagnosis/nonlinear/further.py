@@ -57,7 +57,7 @@ def further(
     for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
         wanted = general_lead(background, q) if general else None
         if own and wanted is not None:
-            leads += law_leads(background, q, [OWN[i] for i in np.flatnonzero(wanted.p) if i in OWN])
+            leads += law_leads(background, q, [name for i, name in OWN.items() if wanted.p[i]])
         else:
             leads += law_leads(background, q, LAWS) if wanted is None else [wanted]
     excess = max(1.0, made.data_part / made.count)

@@ -52,8 +52,8 @@ def response(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: i
 
 
 def spectra(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: int = 15) -> NDArray[np.complex128]:
-    """The same as spectra (n_out, n_lines). Where the recorder's filter was found, the run is as it was recorded, and so
-    are these.
+    """The same as spectra (n_out, n_lines). Where the recorder's filter was found, the run is as it was recorded, and
+    so are these.
     """
     study = found.study
     x = found.base_x if linear else found.laws[-1].made.x

@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
+from labnnum.diagnosis.nonlinear.above import FAR, above
+from labnnum.diagnosis.nonlinear.chain import FURTHER
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.mended import Fault
-from labnnum.diagnosis.nonlinear.recorder import Recorder, fitted, harmonics
+from labnnum.diagnosis.nonlinear.predict import spectra
+from labnnum.diagnosis.nonlinear.recorder import Recorder, fitted, harmonics, polished
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Named
-
-CLEARLY = 0.9
-"""Part of the held-out error to which the filter must bring it."""
 
 
 class Again(Protocol):
@@ -43,18 +43,25 @@ def behind_recorder(
     if seen is None or not seen.filtered:
         return found
     progress("fitting the recorder's filter")
-    first = fitted(found.study, found.laws[-1], runs, scatter, seen)
-    second = None if first is None else again(first.fault)
-    if first is None or second is None or not second.laws or not (second.named or not found.named):
+    recorder = fitted(found.study, found.laws[-1], runs, scatter, seen)
+    second = None if recorder is None else again(recorder.fault)
+    if recorder is None or second is None or not second.laws or not (second.named or not found.named):
         return found
     progress("fitting the recorder's filter with these laws")
-    last = fitted(second.study, second.laws[-1], runs, scatter, seen, first)
+    last = polished(second.study, second.laws[-1], runs, scatter, recorder)
     better = None if last is None else again(last.fault, second)
     if last is not None and better is not None and better.extended_error[1] < second.extended_error[1]:
-        first, second = last, better
-    if second.extended_error[1] > CLEARLY * found.extended_error[1]:
-        return found
-    return replace(second, recorder=first, named=(*second.named, told(first)) if second.named else ())
+        recorder, second = last, better
+    second = replace(second, recorder=recorder, named=(*second.named, told(recorder)) if second.named else ())
+    return second if foretells(second, found, found.held_out or runs) else found
+
+
+def foretells(second: NonlinearAnswer, found: NonlinearAnswer, held: Sequence[Run]) -> bool:
+    """Whether the filter improves the prediction of runs held out, and explains their harmonics above the band."""
+    if second.extended_error[1] > FURTHER * found.extended_error[1]:
+        return False
+    before, after = (above(held, [spectra(one, r) for r in held]) for one in (found, second))
+    return before is not None and after is not None and after.plain < FAR * before.plain
 
 
 def told(recorder: Recorder) -> Named:

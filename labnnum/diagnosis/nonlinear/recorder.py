@@ -33,8 +33,8 @@ STARTS = ((1.0, 0.7), (1.3, 1.5), (2.0, 0.7))
 """The same, where a section begins."""
 STEP = 3e-3
 """Relative step of the finite differences."""
-SMALL = 1e-3
-"""Relative gain of a step at which a fit ends."""
+SMALL, LAST = 1e-2, 1e-3
+"""Relative gain of a step at which a fit ends, and the last one."""
 EVALUATIONS = 20
 """Steps of a fit at most."""
 CHANCE = 13.8
@@ -71,7 +71,7 @@ class Recorder:
 
 
 def coefficients(shape: NDArray) -> NDArray[np.float64]:
-    """a, b (2 n,) of sections from the logarithms of their corner frequencies in Hz and quality factors."""
+    """Coefficients a, b (2 n,) from the logarithms of the sections' corner frequencies in Hz and quality factors."""
     corner, sharpness = np.exp(np.reshape(shape, (-1, 2))).T
     omega = 2 * np.pi * corner
     return np.stack([1 / (omega * sharpness), 1 / omega**2], axis=1).ravel()
@@ -85,12 +85,12 @@ def harmonics(found: Study, last: Tried, runs: Sequence[Run], scatter: Scatter) 
         return None
 
 
-def fitted(
-    found: Study, last: Tried, runs: Sequence[Run], scatter: Scatter, seen: Above, before: Recorder | None = None
-) -> Recorder | None:  # fmt: skip
+def fitted(found: Study, last: Tried, runs: Sequence[Run], scatter: Scatter, seen: Above) -> Recorder | None:
     """The filter of one to three sections that explains the runs best with the laws of `last`; None where none does.
 
-    One more section is taken where it gains far more than chance, lines of a neighbourhood counted together.
+    The loudest run tells, whose harmonics stand out most, and lines above the band are weighed by what no factor
+    explains there. One more section is taken where it gains far more than chance, lines of a neighbourhood counted
+    together.
 
     Parameters
     ----------
@@ -98,26 +98,33 @@ def fitted(
         As they were recorded.
     seen : Above
         Their harmonics over those that the laws make without a filter.
-    before : Recorder, optional
-        A filter that was found with other laws, from which this one begins.
     """
     try:
-        loop = _Loop(found, last, runs, scatter)
-        start = _rough(seen, loop.top, 1) if before is None else before.shape
+        loop = _Loop(found, last, [max(runs, key=lambda r: r.level)], scatter)
+        start = _rough(seen, loop.top, 1)
         loop.weigh(seen, start)
         best = loop.fit([start])
         while best is not None and best.n < SECTIONS:
-            more = [np.concatenate([best.shape, _far(loop.top)]), _rough(seen, loop.top, best.n + 1)]
-            other = loop.fit(more)
+            other = loop.fit([np.append(best.shape, _far(loop.top)), _rough(seen, loop.top, best.n + 1)])
             if other is None or GROUPS * np.log(best.cost / other.cost) < CHANCE:
                 break
             best = other
     except (EstimationError, ModelError, np.linalg.LinAlgError):
         return None
-    if best is None:
+    return None if best is None else Recorder(*_sections(best), best.shape, seen)
+
+
+def polished(
+    found: Study, last: Tried, runs: Sequence[Run], scatter: Scatter, before: Recorder
+) -> Recorder | None:  # fmt: skip
+    """A filter fitted on with other laws, all lines alike: what is left in the unit of the responses is least."""
+    try:
+        loop = _Loop(found, last, runs, scatter)
+        loop.weigh(before.seen, before.shape, even=True)
+        best = loop.fit([before.shape], LAST)
+    except (EstimationError, ModelError, np.linalg.LinAlgError):
         return None
-    value, std = _sections(best)
-    return Recorder(value, std, best.shape, seen)
+    return None if best is None else Recorder(*_sections(best), best.shape, before.seen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +176,10 @@ class _Loop:
             return made
         return [m * fault.factor(2j * np.pi * r.frequency, back=True) for m, r in zip(made, self.runs, strict=True)]
 
-    def weigh(self, seen: Above, start: NDArray) -> None:
-        """Deviations by what is left in the band, of the better of both, and above it by what no factor explains."""
+    def weigh(self, seen: Above, start: NDArray, *, even: bool = False) -> None:
+        """Deviations by what is left in the band, with the filter or without, and above it by what no factor explains,
+        or as in the band.
+        """
         both = [self.plain]
         try:
             both.append(self.recorded(start, self.x))
@@ -185,7 +194,7 @@ class _Loop:
             own = np.mean(np.abs(run.y[:, over]) ** 2, axis=1, keepdims=True) * level
             within = np.full((len(run.y), inside.size), left / len(run.y))
             self.at.append(np.concatenate([inside, over]))
-            self.weight.append(1 / np.sqrt(np.maximum(np.hstack([within, own]), 1e-300)))
+            self.weight.append(1 / np.sqrt(np.maximum(np.hstack([within, own + even * within[:, :1]]), 1e-300)))
             groups.append(np.tile(run.frequency[self.at[-1]], 2 * len(run.y)))
         every = np.concatenate(groups)
         self.group = np.searchsorted(np.quantile(every, np.linspace(0, 1, GROUPS + 1)[1:-1]), every)
@@ -209,7 +218,7 @@ class _Loop:
             self.orbits = [None] * len(self.runs)
             return np.full(self.group.size, FAILED)
 
-    def fit(self, starts: Sequence[NDArray]) -> _End | None:
+    def fit(self, starts: Sequence[NDArray], small: float = SMALL) -> _End | None:
         """Least squares over the filter's vector and the laws' strengths, from what leaves least of `starts`."""
         n, k = starts[0].size, len(self.strengths)
         low, high = (np.log([CORNERS[i] * self.top, SHARPNESS[i]] * (n // 2)) for i in (0, 1))
@@ -218,7 +227,7 @@ class _Loop:
             begin.sort(key=lambda vector: float(np.sum(self.values(vector) ** 2)))
         bounds = (np.append(low, [1 / WIDE] * k), np.append(high, [WIDE] * k))
         made = least_squares(
-            self.values, begin[0], bounds=bounds, diff_step=STEP, x_scale=0.1, ftol=SMALL, max_nfev=EVALUATIONS
+            self.values, begin[0], bounds=bounds, diff_step=STEP, x_scale=0.1, ftol=small, max_nfev=EVALUATIONS
         )
         if 2 * made.cost >= FAILED**2 * self.group.size:
             return None
@@ -226,7 +235,7 @@ class _Loop:
 
 
 def _sections(end: _End) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """a and b of each section with their standard deviations, lines of a neighbourhood counted together."""
+    """Coefficients of each section with their standard deviations, lines of a neighbourhood counted together."""
     inverse = np.linalg.pinv(end.slope.T @ end.slope, rcond=1e-10)
     each = end.slope * end.left[:, None]
     sums = np.array([each[end.group == g].sum(axis=0) for g in range(GROUPS)])
