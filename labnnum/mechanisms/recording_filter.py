@@ -36,11 +36,12 @@ class RecordingFilter(ChannelMechanism):
         """None: it cancels in every FRF; see `labnnum.diagnosis.nonlinear.recorder`."""
         return ()
 
-    def term(self, n: int = SECTIONS) -> Term:
-        """The filter of `n` sections."""
+    def term(self, n: int = SECTIONS, half_power_std: float = 0.0) -> Term:
+        """The filter of `n` sections; the standard deviation of where it is 3 dB down, in Hz, if it was fitted."""
         names = [(f"{k}{i}", unit) for i in range(1, n + 1) for k, unit in (("a", "s"), ("b", "s^2"))]
         parameters = tuple(Parameter(name, 0.0, 0.0, np.inf, unit) for name, unit in names)
-        return Term(self, Place("channel", EVERY), parameters, np.zeros((0, len(names))), data={"channels": EVERY})
+        data = {"channels": EVERY, "half_power_std": half_power_std}
+        return Term(self, Place("channel", EVERY), parameters, np.zeros((0, len(names))), data=data)
 
     def factor(self, s: NDArray, p: NDArray) -> NDArray[np.complex128]:
         """Product of 1 / (1 + a s + b s^2); `p` holds a1, b1, a2, b2 ..."""
@@ -59,7 +60,11 @@ class RecordingFilter(ChannelMechanism):
         return np.array(rows)
 
     def derived(self, term: Term, p: NDArray, std: NDArray) -> dict[str, tuple[float, float, str]]:
-        """Corner frequency 1 / (2 pi sqrt(b)) of each section, and where the whole filter is 3 dB down."""
+        """Corner frequency 1 / (2 pi sqrt(b)) of each section, and where the whole filter is 3 dB down.
+
+        Sections trade with each other, so that the latter's standard deviation does not follow from theirs: the fit
+        leaves it in the term.
+        """
         out: dict[str, tuple[float, float, str]] = {}
         for i, (b, s) in enumerate(zip(p[1::2], std[1::2], strict=True), 1):
             if b > 0:
@@ -67,9 +72,7 @@ class RecordingFilter(ChannelMechanism):
                 out[f"corner{i}"] = (float(corner), float(corner * s / (2 * b)), "Hz")
         down = self.half_power(p)
         if np.isfinite(down):
-            steps = [self.half_power(p + 0.01 * s * row) - down for s, row in zip(std, np.eye(p.size), strict=True)]
-            spread = 100 * float(np.linalg.norm(steps))
-            out["half_power"] = (down, spread if np.isfinite(spread) else 0.0, "Hz")
+            out["half_power"] = (down, float(term.data.get("half_power_std", 0.0)), "Hz")
         return out
 
     def half_power(self, p: NDArray) -> float:

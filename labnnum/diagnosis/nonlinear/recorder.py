@@ -53,6 +53,8 @@ class Recorder:
     ----------
     value, std : ndarray, shape (2 n,)
         a and b of each section.
+    half_power_std : float
+        Hz, of where the filter is 3 dB down.
     shape : ndarray, shape (2 n,)
         Logarithms of corner frequencies (Hz) and quality factors, as they are fitted.
     seen : Above
@@ -61,13 +63,14 @@ class Recorder:
 
     value: NDArray[np.float64]
     std: NDArray[np.float64]
+    half_power_std: float
     shape: NDArray[np.float64]
     seen: Above
 
     @property
     def fault(self) -> Fault:
         """As runs are freed of it."""
-        return Fault(RecordingFilter().term(self.value.size // 2), self.value)
+        return Fault(RecordingFilter().term(self.value.size // 2, self.half_power_std), self.value)
 
 
 def coefficients(shape: NDArray) -> NDArray[np.float64]:
@@ -234,8 +237,10 @@ class _Loop:
         return _End(made.x[:n], 2 * float(made.cost), made.fun, made.jac, self.group)
 
 
-def _sections(end: _End) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Coefficients of each section with their standard deviations, lines of a neighbourhood counted together."""
+def _sections(end: _End) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Coefficients of each section and their standard deviations, lines of a neighbourhood counted together; and that
+    of where the filter is 3 dB down.
+    """
     inverse = np.linalg.pinv(end.slope.T @ end.slope, rcond=1e-10)
     each = end.slope * end.left[:, None]
     sums = np.array([each[end.group == g].sum(axis=0) for g in range(GROUPS)])
@@ -249,7 +254,11 @@ def _sections(end: _End) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         slope[2 * i, 2 * i : 2 * i + 2] = -a, -a
         slope[2 * i + 1, 2 * i] = -2 * b
     own = covariance[: end.shape.size, : end.shape.size]
-    return value, np.sqrt(np.maximum(np.diag(slope @ own @ slope.T), 0.0))
+    std = np.sqrt(np.maximum(np.diag(slope @ own @ slope.T), 0.0))
+    steps = [end.shape + sign * STEP * row for row in np.eye(end.shape.size) for sign in (1, -1)]
+    down = np.array([RecordingFilter().half_power(coefficients(x)) for x in steps]).reshape(-1, 2)
+    along = (down[:, 0] - down[:, 1]) / (2 * STEP)
+    return value, std, float(np.sqrt(max(along @ own @ along, 0.0)))
 
 
 def _far(top: float) -> NDArray[np.float64]:
