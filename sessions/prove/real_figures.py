@@ -58,26 +58,25 @@ def record_figure(path: Path, rate: float, measured: NDArray, linear: NDArray, e
 
 
 def filter_figure(path: Path, recorder: Recorder) -> None:
-    """SVG of the harmonics above the band, measured over predicted, in magnitude and phase, with the filter through it.
-
-    A delay that all channels share cancels in the band: the filter's phase there, as that of a delay, is taken off.
+    """SVG of the filter in magnitude and phase, and above the excited band the harmonics that were recorded over those
+    of the motion itself, as the model makes them.
     """
-    seen, fault = recorder.seen, recorder.fault
+    seen, fault = recorder.shown or recorder.seen, recorder.fault
     f = np.linspace(0.0, seen.edges[-1], 400)[1:]
-    inside = f < seen.edges[0]
     through = fault.factor(2j * np.pi * f, back=True)
     phase = np.unwrap(np.angle(through))
-    delay = float(f[inside] @ phase[inside] / (f[inside] @ f[inside]))
-    nearby = np.interp(seen.frequency, f, phase - delay * f)
+    nearby = np.interp(seen.frequency, f, phase)
     measured = np.angle(seen.ratio * np.exp(-1j * nearby)) + nearby
     with matplotlib.rc_context(_STYLE):
         fig = Figure(figsize=(7.5, 3.6), layout="constrained")
         upper, lower = fig.subplots(2, 1, sharex=True)
         for ax, points, line, name in (
             (upper, np.abs(seen.ratio), np.abs(through), "magnitude"),
-            (lower, np.degrees(measured), np.degrees(phase - delay * f), "phase, degrees"),
+            (lower, np.degrees(measured), np.degrees(phase), "phase, degrees"),
         ):
-            ax.plot(seen.frequency, points, "o", ms=4, color=MEASURED, label="harmonics, measured over predicted")
+            ax.plot(
+                seen.frequency, points, "o", ms=4, color=MEASURED, label="harmonics, recorded over those of the motion"
+            )
             ax.plot(f, line, color=AFTER, lw=1.2, label="the filter that was fitted")
             ax.axvline(seen.edges[0], color=BEFORE, lw=0.8, ls=":", label="highest excited line")
             ax.set_ylabel(name)

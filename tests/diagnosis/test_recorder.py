@@ -20,6 +20,7 @@ from labnnum.response import frf
 from labnnum.structures.modal import ModalStructure, Mode
 from sessions.diagnose import write_extended
 from sessions.model import read_model
+from sessions.prove.real_figures import filter_figure
 
 RATE, PERIOD, FINE, TOP = 60.0, 512, 8, 171
 F0, ZETA, K3, C2 = 5.0, 0.05, 4e5, 0.4
@@ -103,6 +104,14 @@ def test_the_filter_is_named_last_with_its_corner(behind):
     assert 0 < down["std"] < 0.1 * CORNER
     assert behind.named[0].value[0] == pytest.approx(K3, rel=0.03)
     assert "recording-filter at channel all" in behind.summary
+
+
+def test_recorded_harmonics_over_those_of_the_motion_are_the_filter(behind, tmp_path):
+    shown = behind.detail["nonlinear"].recorder.shown
+    assert shown.coherence > 0.99
+    np.testing.assert_allclose(shown.ratio, recorder(shown.frequency), rtol=0.05)
+    filter_figure(tmp_path / "filter.svg", behind.detail["nonlinear"].recorder)
+    assert "<svg" in (tmp_path / "filter.svg").read_text()
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from labnnum.diagnosis.nonlinear.above import FAR, above
+import numpy as np
+
+from labnnum.diagnosis.nonlinear.above import FAR, Above, above
 from labnnum.diagnosis.nonlinear.chain import FURTHER
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.mended import Fault
@@ -53,7 +55,18 @@ def behind_recorder(
     if last is not None and better is not None and better.extended_error[1] < second.extended_error[1]:
         recorder, second = last, better
     second = replace(second, recorder=recorder, named=(*second.named, told(recorder)) if second.named else ())
-    return second if foretells(second, found, found.held_out or runs) else found
+    if not foretells(second, found, found.held_out or runs):
+        return found
+    return replace(second, recorder=replace(recorder, shown=_harmonics_of_motion(second, recorder, runs)))
+
+
+def _harmonics_of_motion(found: NonlinearAnswer, recorder: Recorder, runs: Sequence[Run]) -> Above | None:
+    """Recorded harmonics over those of the motion before the filter."""
+    made = []
+    for run in runs:
+        f = recorder.fault.factor(2j * np.pi * run.frequency, back=True)
+        made.append(spectra(found, run) / np.where(f == 0, 1.0, f))
+    return above(runs, made)
 
 
 def foretells(second: NonlinearAnswer, found: NonlinearAnswer, held: Sequence[Run]) -> bool:

@@ -59,6 +59,8 @@ class Recorder:
         Logarithms of corner frequencies (Hz) and quality factors, as they are fitted.
     seen : Above
         Measured over predicted harmonics before the filter was in the model.
+    shown : Above, optional
+        Recorded harmonics over those of the motion itself as the model with the filter has it: the filter's own values.
     """
 
     value: NDArray[np.float64]
@@ -66,6 +68,7 @@ class Recorder:
     half_power_std: float
     shape: NDArray[np.float64]
     seen: Above
+    shown: Above | None = None
 
     @property
     def fault(self) -> Fault:
