@@ -225,22 +225,26 @@ def _entries(d: Diagnosis, folder: Path) -> list[dict[str, Any]]:
 
 
 def _kept_laws(d: Diagnosis, model: Model) -> list[dict[str, Any]]:
-    """[[mechanism]] entries of nonlinear laws that the model held, unless others were named."""
+    """[[mechanism]] entries of what the model held and no linear search sees: nonlinear laws, unless others were named,
+    and what the recorder does to all channels.
+    """
     structure = model.structure
-    if not isinstance(structure, ExtendedStructure) or any(n.term.mechanism.domain == "nonlinear" for n in d.named):
+    if not isinstance(structure, ExtendedStructure):
         return []
-    ids = {law.term.mechanism.id for law in structure.laws}
+    ids = {one.term.mechanism.id for one in structure.common}
+    if not any(n.term.mechanism.domain == "nonlinear" for n in d.named):
+        ids |= {law.term.mechanism.id for law in structure.laws}
     return [dict(entry) for entry in model.raw.get("mechanism", ()) if entry.get("id") in ids]
 
 
 def _nonlinear_entries(d: Diagnosis) -> list[dict[str, Any]]:
-    """[[mechanism]] entries of the nonlinear laws that were named."""
+    """[[mechanism]] entries of the nonlinear laws that were named, and of the recorder's filter beside them."""
     found = d.detail.get("nonlinear")
     return [
         {
             "id": n.term.mechanism.id,
             "place": {k: v for k, v in n.place.as_dict().items() if v is not None},
-            "variant": n.term.variant,
+            **({"variant": n.term.variant} if n.term.variant else {}),
             "parameters": {
                 p.name: {"value": float(v), "std": float(s), "unit": p.unit}
                 for p, v, s in zip(n.term.parameters, n.value, n.std, strict=True)

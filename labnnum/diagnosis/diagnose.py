@@ -30,6 +30,7 @@ from labnnum.structures.base import Structure
 
 if TYPE_CHECKING:
     from labnnum.diagnosis.nonlinear.locate import Lead
+    from labnnum.diagnosis.nonlinear.mended import Fault
 
 UNNAMED: tuple[Mechanism, ...] = (LocalLaw(), PairLaw(), LooseChannel(), LooseSupport())
 """What may be missing without having a name."""
@@ -110,7 +111,8 @@ def diagnose(
             progress=progress, nonlinear=False,
         )  # fmt: skip
         whole = nonlinear_first(
-            engine, gate, observations, held_out, where, scatter, limits, span, again, progress, _known(structure)
+            engine, gate, observations, held_out, where, scatter, limits, span, again, progress, _known(structure),
+            _held(structure),
         )  # fmt: skip
         if whole is not None:
             return whole
@@ -169,6 +171,14 @@ def _taken_apart(structure: Structure, train: Frf) -> tuple[Structure, list[tupl
                 term = replace(term, data={"channel": at})
         initial.append((term.fitted, np.array([p.nominal for p in added.parameters])))
     return structure.inner, initial
+
+
+def _held(structure: Structure) -> list[Fault]:
+    """What the structure says that the recorder does to all channels."""
+    from labnnum.diagnosis.nonlinear.mended import Fault
+
+    common = structure.common if isinstance(structure, ExtendedStructure) else ()
+    return [Fault(a.term, np.array([p.nominal for p in a.parameters])) for a in common]
 
 
 def _known(structure: Structure) -> list[Lead]:

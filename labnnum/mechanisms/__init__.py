@@ -27,6 +27,7 @@ from labnnum.mechanisms.one_sided_gap import OneSidedGap
 from labnnum.mechanisms.out_of_plane_mode import OutOfPlaneMode
 from labnnum.mechanisms.quadratic_damping import QuadraticDamping
 from labnnum.mechanisms.quadratic_stiffness import QuadraticStiffness
+from labnnum.mechanisms.recording_filter import RecordingFilter
 from labnnum.mechanisms.shear_rotary import ShearRotary
 from labnnum.mechanisms.stick_slip import StickSlip
 from labnnum.mechanisms.support_compliance import SupportCompliance
@@ -58,6 +59,7 @@ CATALOGUE: tuple[Mechanism, ...] = (
     ChannelHighpass(),
     ChannelClipping(),
     ChannelSwap(),
+    RecordingFilter(),
     Drift(),
 )
 """Every mechanism that the diagnosis tries, in the order of the documentation."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,6 +200,8 @@ class ChannelMechanism(Mechanism):
     """A fault of the measurement chain: a factor on one channel."""
 
     domain = "channel"
+    common: ClassVar[bool] = False
+    """Whether it is on all channels alike, so that it cancels in every FRF."""
 
     @abstractmethod
     def factor(self, s: NDArray, p: NDArray) -> NDArray[np.complex128]:

@@ -40,6 +40,8 @@ class ExtendedStructure(Structure):
     frequencies by relative amounts, mode by mode about the nominal modes: those of the inner structure with what the
     diagnosis takes for a part of it (supports that were let go, what acts everywhere). `laws` are nonlinear:
     they act in time simulation (`law_elements`) and as nothing in anything linear, so their parameters are not updated.
+    Nor are those of `common`, what the recorder does to all channels alike: it is in each channel's `chain` and cancels
+    in every FRF.
     """
 
     inner: Structure
@@ -47,6 +49,7 @@ class ExtendedStructure(Structure):
     trim: tuple[float, ...] = ()
     outputs: tuple[str, ...] = field(default=())
     laws: tuple[Added, ...] = ()
+    common: tuple[Added, ...] = ()
 
     @cached_property
     def _own(self) -> tuple[Parameter, ...]:
@@ -98,7 +101,7 @@ class ExtendedStructure(Structure):
         from scipy.linalg import eigh
 
         own = [a for a in self.added if a.term.whole is not None or a.term.fitted is not a.term]
-        core = replace(self, added=tuple(own), trim=(), laws=())
+        core = replace(self, added=tuple(own), trim=(), laws=(), common=())
         m = core.matrices(core.nominal)
         value, shape = eigh(np.real(m.K), np.real(m.M))
         index = list(range(len(self.inner.matrices(self.inner.nominal).M)))
@@ -226,9 +229,11 @@ class ExtendedStructure(Structure):
         return sum((h.free_load for h in held.values()), np.zeros(len(self.inner.matrices(self.inner.nominal).M)))
 
     def chain(self, channel: Channel, frequency: NDArray, theta: NDArray) -> NDArray[np.complex128]:
-        """Product of the channel faults on this channel."""
+        """Product of the channel faults on this channel, and of what is common to all."""
         own, parts = self._split(np.asarray(theta))
         out = self.inner.chain(channel, frequency, own)
+        for added in self.common:
+            out = out * _factor(added, channel, frequency, np.array([p.nominal for p in added.parameters]))
         for added, p in zip(self.added, parts, strict=True):
             out = out * _factor(added, channel, frequency, p)
         return out
@@ -253,7 +258,8 @@ class ExtendedStructure(Structure):
 def _factor(added: Added, channel: Channel, frequency: NDArray, p: NDArray) -> NDArray[np.complex128]:
     mechanism, place = added.term.mechanism, added.term.place
     one = np.ones(np.shape(frequency), complex)
-    if place.kind != "channel" or place.id != channel.name:
+    common = isinstance(mechanism, ChannelMechanism) and mechanism.common
+    if place.kind != "channel" or not (common or place.id == channel.name):
         return one
     if isinstance(mechanism, ChannelMechanism):
         return mechanism.factor(2j * np.pi * np.asarray(frequency, float), p)
@@ -323,7 +329,7 @@ def extend(
 
     trim: tuple[float, ...] = ()
     known = {m.id: m for m in catalogue or CATALOGUE}
-    added, laws = [], []
+    added, laws, common = [], [], []
     for entry in entries:
         name = str(entry.get("id", ""))
         if name == "modal-trim":
@@ -332,8 +338,10 @@ def extend(
         if name not in known:
             raise ConfigError(f"mechanism.id: {name!r} is not in the catalogue: {', '.join(known)}")
         mechanism = known[name]
-        (laws if isinstance(mechanism, NonlinearMechanism) else added).append(_added(structure, mechanism, entry))
-    return ExtendedStructure(structure, tuple(added), trim, laws=tuple(laws))
+        shared = isinstance(mechanism, ChannelMechanism) and mechanism.common
+        where = laws if isinstance(mechanism, NonlinearMechanism) else common if shared else added
+        where.append(_added(structure, mechanism, entry))
+    return ExtendedStructure(structure, tuple(added), trim, laws=tuple(laws), common=tuple(common))
 
 
 def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any]) -> Added:

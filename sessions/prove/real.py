@@ -17,7 +17,7 @@ from labnnum.structures.modal import ModalStructure
 from sessions.exchange import read_any
 from sessions.model import Model
 from sessions.prove.real_f16 import f16
-from sessions.prove.real_figures import record_figure
+from sessions.prove.real_figures import filter_figure, record_figure
 from sessions.prove.real_rows import Row, said
 
 SETS = ("silverbox", "f16", "friction_damper")
@@ -62,6 +62,7 @@ def _rms(x: NDArray) -> float:
 
 def silverbox(data: Path, examples: Path, out: Path) -> list[Row]:
     """Base model from the quiet start of the arrow, diagnosis on multisines, simulation of the arrow."""
+    from labnnum.diagnosis.nonlinear.begun import started
     from labnnum.diagnosis.nonlinear.predict import padded, response
     from sessions.diagnose import run as run_files
     from sessions.diagnose import write_answer
@@ -85,24 +86,57 @@ def silverbox(data: Path, examples: Path, out: Path) -> list[Row]:
         return rows
     every = [r for r in _recordings(file, examples / "channels.toml")]
     rows += _margin(answer, model, next(r for r in every if r.label.endswith("multisine 10")))
+    rows += _filter_rows(answer, out)
     for label, published in (("arrow", "linear 14.3, Duffing 0.385, NARX 4.15, black boxes 0.26"),
                              ("multisine 10", "Duffing 0.30")):  # fmt: skip
         one = next(r for r in every if r.label.endswith(label))
-        run = padded(one, 220.0) if label == "arrow" else padded(one, 205.0, 0.0)
+        run = padded(one, ARROW) if label == "arrow" else padded(one, 205.0, 0.0)
         measured = one.data[one.outputs[0]]
-        left: dict[str, NDArray] = {}
-        for linear in (True, False):
-            made = response(answer, run, linear=linear)[0, : measured.size]
-            name = "linear base" if linear else "extended"
-            left[name] = 1e3 * (measured - made)
-            rows.append(Row("Silverbox", f"{label}, {name}, mV RMS", f"{_rms(left[name]):.3f}", published))
-            own = left[name][FIRST:] - left[name][FIRST:].mean()
-            what = f"{label}, {name}, first {FIRST} samples and mean left out"
-            rows.append(Row("Silverbox", what, f"{_rms(own):.3f}", published))
-        parts = ", ".join(f"{_rms(part - part.mean()):.2f}" for part in np.array_split(left["extended"][FIRST:], 6))
+        made = {name: response(answer, run, linear=name == BASE)[0, : measured.size] for name in (BASE, LAWS_IN)}
+        for name in made:
+            rows += _errors(f"{label}, {name}", measured, made[name], published)
+        if label == "arrow":
+            begun = started(answer, one, ARROW, FIRST, offset=made[LAWS_IN].mean())[0]
+            rows += _errors(f"arrow, {LAWS_IN}, started from its first {FIRST} samples", measured, begun, published)
+        left = 1e3 * (measured - made[LAWS_IN])[FIRST:]
+        parts = ", ".join(f"{_rms(part - part.mean()):.2f}" for part in np.array_split(left, 6))
         rows.append(Row("Silverbox", f"{label}, extended, six parts in turn, mV RMS", parts, ""))
-        plain, own = (measured - 1e-3 * left[name] for name in ("linear base", "extended"))
-        record_figure(out / f"{label}.svg", one.rate, measured, plain, own, "V")
+        record_figure(out / f"{label}.svg", one.rate, measured, made[BASE], made[LAWS_IN], "V")
+    return rows
+
+
+ARROW = 220.0
+"""Hz, up to which the arrow is excited."""
+BASE, LAWS_IN = "linear base", "extended"
+
+
+def _errors(what: str, measured: NDArray, made: NDArray, published: str) -> list[Row]:
+    """RMS errors in mV of a simulated record: as it is; its mean taken off as the recording's was; and the same without
+    the first samples.
+    """
+    left = 1e3 * (measured - made)
+    level = left - left.mean()
+    rest = left[FIRST:] - left[FIRST:].mean()
+    return [
+        Row("Silverbox", f"{what}, mV RMS", f"{_rms(left):.3f}", published),
+        Row("Silverbox", f"{what}, mean left out", f"{_rms(level):.3f}", published),
+        Row("Silverbox", f"{what}, first {FIRST} samples and mean left out", f"{_rms(rest):.3f}", published),
+    ]
+
+
+def _filter_rows(found: NonlinearAnswer, out: Path) -> list[Row]:
+    """Where the recorder's filter is 3 dB down, and the figure that shows it; none where none was found."""
+    if found.recorder is None:
+        return []
+    filter_figure(out / "filter.svg", found.recorder)
+    seen = found.recorder.seen
+    rows = [Row("Silverbox", "harmonics above the band: coherence with those predicted", f"{seen.coherence:.3f}", "")]
+    for name, (value, std, unit) in (
+        found.named[-1]
+        .term.mechanism.derived(found.recorder.fault.term, found.recorder.value, found.recorder.std)
+        .items()
+    ):
+        rows.append(Row("Silverbox", f"recording-filter {name}, {unit}", f"{value:.4g} +- {std:.2g}", ""))
     return rows
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.joined import Predicted
+from labnnum.diagnosis.nonlinear.recorder import Recorder
 from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, svg
 
 
@@ -53,4 +54,33 @@ def record_figure(path: Path, rate: float, measured: NDArray, linear: NDArray, e
         lower.set_ylabel(unit)
         lower.set_xlabel("time, s")
         lower.legend(fontsize=7)
+        path.write_text(svg(fig), encoding="utf-8")
+
+
+def filter_figure(path: Path, recorder: Recorder) -> None:
+    """SVG of the filter in magnitude and phase, and above the excited band the harmonics that were recorded over those
+    of the motion itself, as the model makes them.
+    """
+    seen, fault = recorder.shown or recorder.seen, recorder.fault
+    f = np.linspace(0.0, seen.edges[-1], 400)[1:]
+    through = fault.factor(2j * np.pi * f, back=True)
+    phase = np.unwrap(np.angle(through))
+    nearby = np.interp(seen.frequency, f, phase)
+    measured = np.angle(seen.ratio * np.exp(-1j * nearby)) + nearby
+    with matplotlib.rc_context(_STYLE):
+        fig = Figure(figsize=(7.5, 3.6), layout="constrained")
+        upper, lower = fig.subplots(2, 1, sharex=True)
+        for ax, points, line, name in (
+            (upper, np.abs(seen.ratio), np.abs(through), "magnitude"),
+            (lower, np.degrees(measured), np.degrees(phase), "phase, degrees"),
+        ):
+            ax.plot(
+                seen.frequency, points, "o", ms=4, color=MEASURED, label="harmonics, recorded over those of the motion"
+            )
+            ax.plot(f, line, color=AFTER, lw=1.2, label="the filter that was fitted")
+            ax.axvline(seen.edges[0], color=BEFORE, lw=0.8, ls=":", label="highest excited line")
+            ax.set_ylabel(name)
+        upper.set_ylim(bottom=0.0)
+        lower.set_xlabel("frequency, Hz")
+        upper.legend(fontsize=7)
         path.write_text(svg(fig), encoding="utf-8")

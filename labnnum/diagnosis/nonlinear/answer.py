@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.bench import Study, Tried
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
 from labnnum.diagnosis.nonlinear.company import beside_others
 from labnnum.diagnosis.nonlinear.decision import (
@@ -22,17 +22,20 @@ from labnnum.diagnosis.nonlinear.decision import (
     unsimulated,
 )
 from labnnum.diagnosis.nonlinear.detect import signs
-from labnnum.diagnosis.nonlinear.effort import tired
-from labnnum.diagnosis.nonlinear.explore import NOISY, Prospect, explore, resumed
+from labnnum.diagnosis.nonlinear.effort import counted, tired
+from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
+from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.pairs import BETTER, paired, study_of
+from labnnum.diagnosis.nonlinear.recorded import behind_recorder
 from labnnum.diagnosis.nonlinear.records import Split, changed, split
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.study import (
+    FINE,
     anew,
     base_again,
     corners,
@@ -99,6 +102,29 @@ def answer(
     if parts is None:
         return None
     one = _Search(engine, parts, others, scatter, limits, span, progress, nearly)
+    found = _as_recorded(one, places, known, doubted, suspicious, strong, given)
+    sought = found is not None and one.identified and not (known or parts.whole or found.lying is not None)
+    if found is None or not sought or doubted is not None:
+        return found
+
+    def again(fault: Fault, carried: NonlinearAnswer | None = None) -> NonlinearAnswer | None:
+        off = [[mended(o, [fault]) for o in some] for some in (parts.train, parts.test, others)]
+        other = _Search(
+            engine, Split(tuple(off[0]), tuple(off[1]), ()), off[2], scatter, limits, span, progress, nearly
+        )  # fmt: skip
+        with counted():
+            if carried is not None:
+                return other.carried(carried, one.timed)
+            return _as_recorded(other, places, (), None, False, strong, given)
+
+    return behind_recorder(found, one.runs, scatter, again, progress)
+
+
+def _as_recorded(
+    one: _Search, places: Places, known: Sequence[Lead], doubted: int | None, suspicious: bool, strong: bool | None,
+    given: Given | None,
+) -> NonlinearAnswer | None:  # fmt: skip
+    """The answer of a search to its runs as they are."""
     held = one.of_model(known) if known else None
     if held is not None:
         return held
@@ -106,7 +132,7 @@ def answer(
     seen = one.given(given) if given is not None else one.explored(strong)
     if seen is None and (strong or given is not None):
         return None
-    if seen is not None and doubted is None and not nearly and seen.idle:
+    if seen is not None and doubted is None and not one.nearly and seen.idle:
         return None
     if seen is not None and doubted is None and seen.nameless:
         return one.place_alone(seen)
@@ -221,11 +247,8 @@ class _Search:
             tried = [*_ahead(nameless_kin(found, tried[0], self.scatter), tried[0], self.limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, self.scatter))
         two = self.both(seen, tried[0]) if not self.identified and _poor(tried[0]) else None
-        return two or (
-            found,
-            laws_of(
-                found, self.every, self.train, self.test, self.scatter, self.limits, self.progress, self.identified
-            ),
+        return two or laws_of(
+            found, self.every, self.train, self.test, self.scatter, self.limits, self.progress, self.identified
         )  # fmt: skip
 
     def both(self, seen: Prospect, one: Tried | None = None) -> _Found | None:
@@ -267,6 +290,14 @@ class _Search:
         return decide(
             found, laws, self.train, self.test, self.scatter, self.limits, self.whole, self.nearly or NEARLY, self.timed
         )  # fmt: skip
+
+    def carried(self, found: NonlinearAnswer, timed: Sequence[Timed]) -> NonlinearAnswer | None:
+        """The laws of another answer fitted on to this search's runs, which are its runs by another filter."""
+        self.timed = list(timed)
+        study, last = replace(found.study, runs=tuple(self.runs)), found.laws[-1]
+        bench = Bench(study.engine, study.point, study.runs, self.scatter, ()).on(FINE)
+        last = bench.carry_on(last, LONG, always=True, last=last.made.terms[0].last)
+        return self.decided((study, [*found.laws[:-1], last]))
 
     def left_out(self, channel: int, seen: Prospect) -> NonlinearAnswer | None:
         """The answer without a response, whose FRFs and every other's are then freed of the law for a linear search."""

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
+from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
-from labnnum.diagnosis.nonlinear.explore import LINES, looked, nearest
+from labnnum.diagnosis.nonlinear.explore import LINES, LONG, looked, nearest
 from labnnum.diagnosis.nonlinear.further import further, needed
 from labnnum.diagnosis.nonlinear.locate import Spot
-from labnnum.diagnosis.nonlinear.study import UNSURE, at_places
+from labnnum.diagnosis.nonlinear.study import FINE, UNSURE, at_places
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Limits
@@ -27,6 +28,40 @@ FURTHER = 0.97
 
 
 def laws_of(
+    found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    limits: Limits, progress: Callable[[str], None], identified: bool = False,
+) -> tuple[Study, list[Tried]]:  # fmt: skip
+    """The study and its laws: the chain that begins with the best law, and once more where the law that is missed most
+    of that chain turns out to be the better beginning.
+    """
+
+    def begun(study: Study) -> list[Tried]:
+        return _begun(study, every, train, test, scatter, limits, progress, identified)
+
+    laws = begun(found)
+    again = restarted(found, laws, scatter)
+    return (found, laws) if again is None else (again, begun(again))
+
+
+def restarted(found: Study, laws: Sequence[Tried], scatter: Scatter) -> Study | None:
+    """The study with the law that is missed most as its best; None where the chain began with that, or it costs more
+    alone.
+
+    A descent from the recovered motion may end far from where a law fits; beside others it finds the way.
+    """
+    first, best = laws[0], found.best
+    if first.same(best) or not (first.named and first.simulated) or len(first.made.terms) > 1:
+        return None
+    if first.cost * best.made.count > best.cost * first.made.count:
+        return None
+    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(FINE)
+    first = bench.carry_on(first, LONG, always=True, last=any(t.last for t in first.made.terms))
+    if first.cost * best.made.count > best.cost * first.made.count:
+        return None
+    return replace(found, tried=(first, *(t for t in found.tried if not t.same(first))))
+
+
+def _begun(
     found: Study, every: Sequence[Spot], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
     limits: Limits, progress: Callable[[str], None], identified: bool = False,
 ) -> list[Tried]:  # fmt: skip
@@ -61,7 +96,8 @@ def chain(
     """The best law, then another while the prediction of held-out runs gains.
 
     Laws that those found later make needless are taken out again. Where the base was `identified` a general law follows
-    at last, which takes up what such a base lacks; elsewhere it would only hide that the names are wrong.
+    at last, which takes up what such a base lacks; elsewhere it would only hide that the names are wrong. A term of it
+    that is a law of the catalogue is offered by its name first.
     """
     laws = [found.best]
     if laws[0].made.data_part < NOISE * laws[0].made.count:
@@ -73,12 +109,16 @@ def chain(
 
     error = held_out(laws[0])
     refused = False
-    for general in (False, False, True) if identified else (False,):
-        if refused and not general:
+    for kind in ("named", "named", "own", "general") if identified else ("named",):
+        full = len({(t.name, t.spot.place) for t in laws if t.named}) >= MOST_IDENTIFIED
+        if (kind == "named" and refused) or (kind == "own" and full):
             continue
         progress(f"looking for nonlinear law {len(laws) + 1}")
         promise = 0.1 if identified else PROMISE
-        more = further(found, laws[-1], every, scatter, limits.further, general=general, promise=promise)
+        more = further(
+            found, laws[-1], every, scatter, limits.further, general=kind in ("own", "general"), own=kind == "own",
+            promise=promise,
+        )  # fmt: skip
         told = held_out(more) if more is not None else np.inf
         if more is None or told > FURTHER * error:
             refused = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,10 @@ from labnnum.diagnosis.verdict import Alternative, Limits, Named
 from labnnum.mechanisms import CATALOGUE
 from labnnum.mechanisms.base import Place
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+from labnnum.structures.modal import ModalStructure
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.nonlinear.recorder import Recorder
 
 UNCONFIRMED = "no nonlinear law gains more than a sound structure's scatter"
 """Signs without a law: a converter's steps and a shaker's harmonics repeat every period as well."""
@@ -71,6 +75,8 @@ class NonlinearAnswer:
     """Number of a response that was left out, because a law explains the others far better without it."""
     held_out: tuple[Run, ...] = ()
     scatter: Scatter = field(default_factory=Scatter)
+    recorder: Recorder | None = None
+    """The recorder's filter, where one was found: it is off the study's runs, and off those held out."""
 
 
 NAMELESS = "a smooth law that the catalogue does not hold explains it best"
@@ -146,8 +152,10 @@ def decide(
         )
         if extended_error[1] > 1.05 * base_error[1] or not _foretells(scores, limits):
             reason = USELESS
-    if not reason and len({(t.name, t.spot.place) for t in laws if t.name in MECHANISMS}) > MOST:
-        reason = "it takes more than two named laws, which may stand for one that has no name"
+    identified = isinstance(found.engine.structure, ModalStructure)
+    most = MOST_IDENTIFIED if identified else MOST
+    if not reason and len({(t.name, t.spot.place) for t in laws if t.name in MECHANISMS}) > most:
+        reason = f"it takes more than {NUMBERS[most]} named laws, which may stand for one that has no name"
     if max(base_error) < scatter.floor:
         reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
     names = () if reason else _all_named(found, laws, rivals, scatter)
@@ -254,6 +262,9 @@ HALF = 0.5
 """Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
 MOST = 2
 """Different laws, or places, that are named together."""
+MOST_IDENTIFIED = 3
+"""The same where the base was identified: a further law is kept only where runs held out are predicted better."""
+NUMBERS = {MOST: "two", MOST_IDENTIFIED: "three"}
 BENT = 10.0
 """Price of the base beside the laws, of its entries, above which that excuse does not hold: sound ones pay up to 2."""
 LITTLE = 0.3

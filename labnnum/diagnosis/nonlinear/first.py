@@ -80,15 +80,17 @@ def nonlinear_first(
     engine: Engine, gate: Gate, observations: Sequence[Observation], held_out: Sequence[Observation], places: Places,
     scatter: Scatter, limits: Limits, span: tuple[float, float] | None,
     again: Callable[..., Diagnosis], progress: Callable[[str], None], known: Sequence[Lead] = (),
+    held: Sequence[Fault] = (),
 ) -> Diagnosis | None:  # fmt: skip
     """The whole diagnosis where the runs show nonlinear physics, else None.
 
-    `known` laws are those that the model holds. The linear search (`again`) runs on FRFs from which the law's share is
-    taken. Where it names a fault of a channel, that is taken off the spectra and the law is sought once more.
+    `known` laws are those that the model holds, and `held` what it says that the recorder does to all channels, which
+    is taken off. The linear search (`again`) runs on FRFs from which the law's share is taken. Where it names a fault
+    of a channel, that is taken off the spectra and the law is sought once more.
     """
     from labnnum.diagnosis.runs import kept_back
 
-    usable = gate.usable
+    usable, held_out = ([mended(o, held) for o in some] for some in (gate.usable, held_out))
     kept = set() if held_out or len(usable) < 2 else kept_back(usable)
     train = [o for i, o in enumerate(usable) if i not in kept]
     test = list(held_out) or [usable[i] for i in sorted(kept)]

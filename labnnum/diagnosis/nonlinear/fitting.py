@@ -203,7 +203,9 @@ def _together(
     sums = np.array([each[:, group == g].sum(axis=1) for g in range(GROUPS)])
     sums = sums - sums.mean(axis=0)
     robust = np.diag(inverse @ (sums.T @ sums + np.diag(prior)) @ inverse)
-    return np.maximum(robust / np.maximum(excess * np.diag(inverse), 1e-300), 1.0)
+    plain = excess * np.diag(inverse)
+    felt = plain > 1e-300  # what no value depends on has no variance to grow
+    return np.maximum(np.divide(robust, plain, out=np.ones_like(robust), where=felt), 1.0)
 
 
 def _reach(joint: Joint) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, cost
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import LAWS
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
-from labnnum.diagnosis.nonlinear.leads import general_lead, law_leads, ranked
+from labnnum.diagnosis.nonlinear.leads import OWN, general_lead, law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.orbit import Orbit
@@ -27,7 +27,7 @@ GAIN = 0.1
 
 def further(
     study: Study, first: Tried, spots: Sequence[Spot], scatter: Scatter, alarm: float, lines: int = 250, *,
-    general: bool = False, promise: float = 0.1,
+    general: bool = False, own: bool = False, promise: float = 0.1,
 ) -> Tried | None:  # fmt: skip
     """One more law beside those of `first`: the best that any spot's remaining force asks for, fitted with them.
 
@@ -35,6 +35,8 @@ def further(
     ----------
     general : bool
         Whether the general law is tried, instead of named ones, at the places that act already.
+    own : bool
+        Whether of its terms only those are tried that are laws of the catalogue, as such.
     promise : float
         Part of the excess over noise that a law must promise to remove along the recovered motion to be fitted.
 
@@ -53,7 +55,11 @@ def further(
     found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])
     leads: list[Lead] = []
     for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
-        leads += [general_lead(background, q)] if general else law_leads(background, q, LAWS)
+        wanted = general_lead(background, q) if general else None
+        if own and wanted is not None:
+            leads += law_leads(background, q, [name for i, name in OWN.items() if wanted.p[i]])
+        else:
+            leads += law_leads(background, q, LAWS) if wanted is None else [wanted]
     excess = max(1.0, made.data_part / made.count)
     least = max(alarm * excess, promise * (made.objective - made.count))
     leads = sorted(

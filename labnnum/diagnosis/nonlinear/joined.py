@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
 from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.mended import filtered_run
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.records import stretch_of
 from labnnum.diagnosis.nonlinear.run import Run, resampled
@@ -99,9 +100,11 @@ def levels(found: NonlinearAnswer, *, linear: bool = False) -> list[Predicted]:
     linear : bool
         By the base model alone. Sensors' ordinary errors are fitted to the training runs either way.
     """
-    runs = found.study.runs
+    runs, held = found.study.runs, found.held_out
+    if found.recorder is not None:
+        runs, held = ([filtered_run(r, found.recorder.fault, back=True) for r in some] for some in (runs, held))
     return predictions(
-        found, runs, found.held_out, found.scatter, linear=linear, trimmed=True, start=() if linear else found.orbits
+        found, runs, held, found.scatter, linear=linear, trimmed=True, start=() if linear else found.orbits
     )
 
 
@@ -121,10 +124,14 @@ def predictions(
         Whether sensors' errors are fitted; by default where `linear` is not.
     start : sequence of Orbit
         Steady states to begin from, a run each.
+
+    Runs are as they were recorded, also where the recorder's filter was found.
     """
     trimmed = not linear if trimmed is None else trimmed
     study, last = found.study, found.laws[-1].made
-    runs = [*train, *test]
+    recorded = [*train, *test]
+    fault = None if found.recorder is None else found.recorder.fault
+    runs = recorded if fault is None else [filtered_run(r, fault) for r in recorded]
     lines = [choose_lines(r, 0, scatter.floor) for r in runs]
     joint = Joint(study.engine, study.point, runs, () if linear else last.terms, scatter, lines)
     x = found.base_x if linear else last.x
@@ -137,9 +144,11 @@ def predictions(
         size = np.linalg.solve(gram, np.matmul(b[..., own], left[:, own, None]))
         left = left - np.matmul(b.transpose(0, 2, 1), size)[..., 0]
     out = []
-    for run, one, part in zip(runs, lines, np.split(left, cuts[:-1], axis=1), strict=True):
+    for run, one, part in zip(recorded, lines, np.split(left, cuts[:-1], axis=1), strict=True):
         real, imag = np.split(part, 2, axis=1)
         missed = (real + 1j * imag) * one.sigma / np.sqrt(2.0)
+        if fault is not None:
+            missed = missed * fault.factor(run.decay + 2j * np.pi * run.frequency[one.at], back=True)
         measured = run.seen(run.y)[:, one.at]
         out.append(Predicted(run, run.frequency[one.at], run.seen(run.u)[one.at], measured, measured - missed))
     return out

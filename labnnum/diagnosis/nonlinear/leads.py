@@ -78,6 +78,8 @@ class _General:
 
 UNNAMED = (0, 3, 5, 6, 7, 8, 9)
 """Terms of the general law that are no law of the catalogue."""
+OWN = {1: "quadratic-stiffness", 2: "cubic-stiffness", 4: "quadratic-damping"}
+"""Those that are, and which."""
 FOREMOST = 2
 """Of them, those of each spot that compete with the named laws."""
 

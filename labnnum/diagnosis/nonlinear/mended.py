@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.observe import Observation
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import ChannelMechanism, Term
@@ -40,7 +41,12 @@ class Fault:
     @property
     def changes(self) -> bool:
         """Whether it changes a spectrum; else channels have changed places or sign."""
-        return isinstance(self.term.mechanism, ChannelMechanism) and "channel" in self.term.data
+        return isinstance(self.term.mechanism, ChannelMechanism) and ("channel" in self.term.data or self.common)
+
+    @property
+    def common(self) -> bool:
+        """Whether it is on all channels alike."""
+        return isinstance(self.term.mechanism, ChannelMechanism) and self.term.mechanism.common
 
 
 def faults_of(terms: Sequence[Term], values: NDArray) -> list[Fault]:
@@ -75,10 +81,18 @@ def _rows(n: int, fault: Fault) -> list[int]:
     return order
 
 
+def filtered_run(run: Run, fault: Fault, back: bool = False) -> Run:
+    """The run with a fault that is common to all channels taken off, or put on with `back`."""
+    f = fault.factor(run.decay + 2j * np.pi * run.frequency, back)
+    return replace(run, u=run.u * f, y=run.y * f, noise=run.noise * np.abs(f) ** 2)
+
+
 def _run(o: Observation, fault: Fault, back: bool):
     run = o.run
     if run is None:
         return None
+    if fault.common:
+        return filtered_run(run, fault, back)
     u, y, noise, n_out = run.u.copy(), run.y.copy(), run.noise.copy(), len(run.outputs)
     data = fault.term.data
     if "swap" in data:
@@ -101,6 +115,8 @@ def _frf(frf: Frf, fault: Fault, back: bool) -> Frf:
     h, n_out = frf.value.copy(), len(frf.outputs)
     variance = None if frf.variance is None else frf.variance.copy()
     data = fault.term.data
+    if fault.common:
+        return frf
     if "swap" in data:
         order = _rows(n_out, fault)
         shared = None if frf.shared is None else frf.shared[order]
@@ -141,7 +157,7 @@ def _samples(r: Recording, names: Sequence[str], fault: Fault, back: bool) -> Re
     elif "invert" in data:
         x[at[names[int(data["invert"])]]] *= -1
     elif fault.changes:
-        i = at[names[int(data["channel"])]]
+        i = slice(None) if fault.common else at[names[int(data["channel"])]]
         s = 2j * np.pi * np.fft.rfftfreq(x.shape[1], 1 / r.rate)
-        x[i] = np.fft.irfft(np.fft.rfft(x[i]) * fault.factor(s, back), x.shape[1])
+        x[i] = np.fft.irfft(np.fft.rfft(x[i], axis=-1) * fault.factor(s, back), x.shape[1], axis=-1)
     return replace(r, data=x)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.lines import Lines
+from labnnum.diagnosis.nonlinear.mended import filtered_run
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
@@ -51,14 +52,19 @@ def response(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: i
 
 
 def spectra(found: NonlinearAnswer, run: Run, *, linear: bool = False, steps: int = 15) -> NDArray[np.complex128]:
-    """The same as spectra (n_out, n_lines)."""
+    """The same as spectra (n_out, n_lines). Where the recorder's filter was found, the run is as it was recorded, and
+    so are these.
+    """
     study = found.study
     x = found.base_x if linear else found.laws[-1].made.x
+    recorder = None if found.recorder is None else found.recorder.fault
+    acting = run if recorder is None else filtered_run(run, recorder)
     at = np.flatnonzero(run.excited)[:2]
     lines = Lines(at, np.ones((run.y.shape[0], at.size)))
-    joint = Joint(study.engine, study.point, [run], () if linear else found.laws[-1].made.terms, Scatter(), [lines],
+    joint = Joint(study.engine, study.point, [acting], () if linear else found.laws[-1].made.terms, Scatter(), [lines],
                   whole=True)  # fmt: skip
-    return joint.predict(x, joint.settle(x, [None], steps))[0]
+    made = joint.predict(x, joint.settle(x, [None], steps))[0]
+    return made if recorder is None else made * recorder.factor(run.decay + 2j * np.pi * run.frequency, back=True)
 
 
 def errors(found: NonlinearAnswer, run: Run, *, linear: bool = False) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -173,6 +174,13 @@ class Joint:
             scale.append(s)
         self.low, self.high, self.scale = np.concatenate(low), np.concatenate(high), np.concatenate(scale)
         self.used = (self.high > self.low)[self.n_base :]
+
+    def driven(self, runs: Sequence[Run]) -> Joint:
+        """The same over runs with other inputs on the same lines; what was prepared of the base is shared."""
+        out = copy(self)
+        out.runs = tuple(runs)
+        out.steady = [Steady(r, self.codes, s.fine) for r, s in zip(runs, self.steady, strict=True)]
+        return out
 
     # ---------------------------------------------------------------- pieces
 
