@@ -1,16 +1,23 @@
 """Two nonlinear laws at once: forces told apart, laws found together, and limits of sliders that are spread."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.company import beside_others
+from labnnum.diagnosis.nonlinear.decision import _stands_out
 from labnnum.diagnosis.nonlinear.lines import choose_lines
-from labnnum.diagnosis.nonlinear.locate import motion_of, motions_of, spots
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot, motion_of, motions_of, spots
 from labnnum.diagnosis.nonlinear.pairs import pair_shares
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.mechanisms.base import Place
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs, spread_sliders
 
@@ -85,3 +92,51 @@ def test_steps_are_those_of_the_law_that_needs_most():
     contact = Acting("clearance", joint_23(), np.array([1.0, 1.0]), last=True)
     dry = Acting("coulomb-friction", joint_23(), np.array([1.0]), last=True)
     assert steps_of([contact]) < steps_of([contact, dry]) == steps_of([dry])
+
+
+def _tried(cost, mechanism="cubic-stiffness", place="1", prior=0.0):
+    """A candidate that leaves this much a value."""
+    made = SimpleNamespace(objective=1000.0 * cost, data_part=1000.0 * cost, prior_part=prior, n_base=10, count=1000)
+    spot = Spot(Place("ground", place), "x", np.zeros(4))
+    return Tried(Lead(spot, mechanism, np.zeros(10), 0.0), made, 1000.0 * cost)
+
+
+@pytest.mark.parametrize(
+    ("cost", "other", "prior", "error", "named"),
+    [
+        (10.0, 500.0, 0.0, 0.05, True),  # nearly all, and nothing else comes near
+        (10.0, 15.0, 0.0, 0.05, False),  # another place explains as much but for a half
+        (90.0, 500.0, 0.0, 0.05, False),  # too much is left
+        (10.0, 500.0, 1e4, 0.05, False),  # the base beside it is another structure
+        (10.0, 500.0, 0.0, 0.4, False),  # it foretells nothing
+    ],
+)
+def test_a_law_that_stands_out_is_named_though_more_is_missing(cost, other, prior, error, named):
+    best, rival = _tried(cost, prior=prior), _tried(other, place="3")
+    found = SimpleNamespace(tried=(best, rival), general=None, base=SimpleNamespace(objective=1e6, count=1000))
+    assert _stands_out(found, best, best, (0.5, 0.5), (error, error)) is named
+
+
+def test_rivals_of_one_law_are_told_beside_the_other():
+    """Alone two laws at one place may differ by little while a second law is missing; beside it they do not."""
+    made, engine, every = bench(TWO)
+    spot = {str(s.place): s for s in every}
+    plain = Bench(engine, engine.start(), tuple(made), Scatter(), ()).on(250)
+
+    def lead(place, mechanism, value):
+        return Lead(spot[place], mechanism, np.eye(10)[0] * value, 0.0)
+
+    cubic, drag = lead("joint 2-3", "cubic-stiffness", 2e4), lead("ground 1", "quadratic-damping", 10.0)
+    other = lead("joint 2-3", "quadratic-stiffness", 100.0)
+    x = plain.joint([]).start()
+    alone = [plain.both(x, [one], 4) for one in (cubic, other)]
+    both = plain.both(x, [cubic, drag], 6)
+    last = replace(both, lead=drag, more=())
+    near = replace(alone[1], cost=1.01 * alone[0].cost * alone[1].made.count / alone[0].made.count)
+    study = SimpleNamespace(
+        engine=engine, point=engine.start(), runs=tuple(made), tried=(alone[0], near), company=(),
+    )  # fmt: skip
+    company = beside_others(study, [alone[0], last], Scatter())
+    assert [t.mechanism for t in company] == ["quadratic-stiffness"]
+    assert company[0].made.objective > 3 * both.made.objective
+    assert beside_others(study, [alone[0]], Scatter()) == ()

@@ -10,7 +10,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.locate import imitated
 from labnnum.diagnosis.places import places_of
 from labnnum.diagnosis.scatter import Data
-from labnnum.mechanisms.local_law import LocalLaw, PairLaw
+from labnnum.mechanisms.local_law import FreeLaw, LocalLaw, PairLaw
 from labnnum.recording import Channel
 from tests.diagnosis.test_nonlinear import FORCE, chain
 
@@ -50,3 +50,48 @@ def test_a_gyroscope_between_two_masses_is_a_skew_pair():
     assert found[[5, 6]] == pytest.approx([800.0, -800.0], rel=0.05)
     assert np.abs(np.delete(found, [5, 6])).max() < 40.0
     assert share > max(imitated(engine, data, engine.start(), t)[0] for t in terms if t.place != own.place)
+
+
+class _Delayed:
+    """A spring that answers late beside a dashpot, as a stiffness to be acted with through a law's own columns."""
+
+    def __init__(self, k, tau):
+        self.k, self.tau = k, tau
+
+    def at(self, s):
+        return self.k * np.exp(-s * self.tau) + 1.05 * self.k * self.tau * s
+
+
+def test_a_spring_that_answers_late_is_where_a_free_law_says():
+    """Its stiffness turns round several times in the band, which no smooth law follows."""
+    late = _Delayed(400.0, 0.12)
+    engine, data, smooth, own = seen(LocalLaw(), ("2", "3"), np.zeros(9))
+    law = own.groups[0].law
+    fine = 2j * np.pi * np.linspace(0.5, 12, 2000)
+    _, free = all_terms(engine, places_of(engine, None), (FreeLaw(),))
+    mine = next(t for t in free if t.place == own.place and t.variant == own.variant)
+
+    def fitted(basis):
+        rows, wanted = basis(fine).T, late.at(fine)
+        stacked, both = np.vstack([rows.real, rows.imag]), np.concatenate([wanted.real, wanted.imag])
+        p = np.linalg.lstsq(stacked, both, rcond=None)[0]
+        return p, float(np.max(np.abs(p @ basis(fine) - wanted)) / late.k)
+
+    exact, missed = fitted(mine.groups[0].law.basis)
+    assert missed < 0.02 < 0.2 < fitted(law.basis)[1]
+    value = engine.response(replace(engine.start(), terms=exact), [mine], data.s).value
+    seen_late = Data(data.s, value, 1e-3 * np.abs(value))
+    shares = {str(t.place): imitated(engine, seen_late, engine.start(), t)[0] for t in free}
+    assert max(shares, key=lambda place: shares[place]) == str(mine.place)
+    assert shares[str(mine.place)] > 0.99
+    assert shares[str(mine.place)] > max(imitated(engine, seen_late, engine.start(), t)[0] for t in smooth)
+
+
+def test_a_free_law_holds_a_smooth_one():
+    """Its first coefficients are those of the smooth law, so that a fit may go on from there."""
+    engine, data, _, own = seen(LocalLaw(), ("2", "3"), np.zeros(9))
+    _, free = all_terms(engine, places_of(engine, None), (FreeLaw(),))
+    mine = next(t for t in free if t.place == own.place and t.variant == own.variant)
+    s = data.s
+    np.testing.assert_allclose(mine.groups[0].law.basis(s)[:9], own.groups[0].law.basis(s), rtol=1e-12)
+    assert np.all(mine.stiffness(s, np.zeros(mine.n)) == 0)

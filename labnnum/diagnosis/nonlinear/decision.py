@@ -239,8 +239,13 @@ def unsimulated(
 
 
 def _only_smoother(t: Tried, best: Tried) -> bool:
-    """Whether a law is the best one with its corners rounded, which explains no less: the simpler is preferred."""
-    return t.mechanism == "hysteresis" and best.name == "stick-slip" and t.spot.place == best.spot.place
+    """Whether a law is the best one with its corners rounded, or with a spring to it, which explains no less: the
+    simpler is preferred.
+    """
+    if t.spot.place != best.spot.place:
+        return False
+    rounded = t.mechanism == "hysteresis" and best.name == "stick-slip"
+    return rounded or (t.name in ("hysteresis", "stick-slip") and best.name == "coulomb-friction")
 
 
 def _level(t: Tried, other: Tried) -> float:

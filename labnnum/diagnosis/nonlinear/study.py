@@ -147,7 +147,8 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
 
 
 PLAINER = 1.05
-"""Cost, of that of sliders whose limits are spread, up to which one slider is preferred to them."""
+"""Cost, of that of sliders whose limits are spread, up to which one slider is preferred to them, and dry friction to
+what yields after next to no stroke."""
 
 
 def plainer(tried: list[Tried]) -> list[Tried]:
@@ -379,9 +380,27 @@ def yielding_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
         rounded(bench, best, BEGINNING) if best.mechanism != "hysteresis" and "hysteresis" not in far else None,
         spread(bench, best, BEGINNING) if best.mechanism != "sliders" and "sliders" not in far else None,
     ]
-    steps = steps_of(best.made.terms)
+    made.append(_dry(bench, best))
+    steps = steps_of([*best.made.terms, *(t.made.terms[0] for t in made if t is not None)])
     kin = [finely_carried(bench, t, steps) for t in made if t is not None and not _behind(t, best)]
-    return plainer(sorted([best, *kin], key=lambda t: t.cost))
+    front = plainer(sorted([best, *kin], key=lambda t: t.cost))
+    dry = [t for t in front if t.mechanism == "coulomb-friction" and t.cost < PLAINER * front[0].cost]
+    return dry or front
+
+
+DRY = 0.05
+"""Elastic stroke of what yields, of its largest motion, below which it is tried as dry friction, which has none."""
+
+
+def _dry(bench: Bench, best: Tried) -> Tried | None:
+    """Dry friction in place of what yields after next to no stroke."""
+    p = of_fit(best).p
+    stroke, force = (p[1], p[0] * p[1]) if best.mechanism == "hysteresis" else (p[1] / p[0], p[1])
+    top = max((float(np.max(np.abs(o.motion[:, 0, 0]))) for o in best.made.orbits if o is not None), default=0.0)
+    if not 0 < stroke < DRY * top:
+        return None
+    lead = Lead(best.spot, "coulomb-friction", np.eye(N_P)[0] * force, best.lead.gain)
+    return bench.both(best.made.x[: best.made.bare], [lead], LONG)
 
 
 def _behind(t: Tried, best: Tried) -> bool:
