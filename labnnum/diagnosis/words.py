@@ -63,7 +63,28 @@ def _found(d: Diagnosis) -> str:
         )
     return (
         f"{'; and '.join(parts)}.{told} The held-out error falls from {_percent(d.base_error[1])} to"
-        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)})."
+        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)}).{_beside(d)}"
+    )
+
+
+MUCH = 3.0
+"""Chi-square per value that a nonlinear law leaves, above which something else may be missing beside it."""
+
+
+def _left(d: Diagnosis) -> float:
+    """Chi-square per value that the nonlinear laws leave; 0 where there are none."""
+    found = d.detail.get("nonlinear")
+    return 0.0 if found is None or not found.named else float(found.misfit)
+
+
+def _beside(d: Diagnosis) -> str:
+    """What a law that stands out still leaves."""
+    left = _left(d)
+    if left <= MUCH:
+        return ""
+    return (
+        f" In chi-square it leaves {left:.3g} times what noise and ordinary errors do: something else may be missing"
+        " beside it, and its parameters may be off by more than their deviations say."
     )
 
 
@@ -88,6 +109,11 @@ def next_experiment(d: Diagnosis, observations: Sequence[Observation]) -> str:
     if first.term.mechanism.domain == "channel":
         return (
             f"Exchange the transducer and cable of {first.place} and repeat: the fault moves with them if it is theirs."
+        )
+    if _left(d) > MUCH:
+        return (
+            f"Repeat at lower levels, and with a sensor more at {first.place}: what is missing beside"
+            f" {first.term.mechanism.id} shows best where that acts least."
         )
     if first.confidence < 0.95 and d.alternatives:
         a = d.alternatives[0]

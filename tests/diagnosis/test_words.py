@@ -1,0 +1,30 @@
+"""What a diagnosis says in words."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from labnnum.diagnosis.words import next_experiment, summarise
+from labnnum.mechanisms.base import Place
+
+
+def _named(misfit):
+    """A diagnosis that names dry friction, which leaves this much a value."""
+    mechanism = SimpleNamespace(id="coulomb-friction", domain="nonlinear", sense=lambda term, value: None)
+    place = Place("ground", "3")
+    one = SimpleNamespace(
+        term=SimpleNamespace(mechanism=mechanism, parameters=(), place=place), place=place, value=(), std=(),
+        confidence=1.0,
+    )  # fmt: skip
+    law = SimpleNamespace(named=(one,), misfit=misfit)
+    return SimpleNamespace(
+        verdict="missing-physics", named=(one,), place=place, alternatives=(), base_error=(0.5, 0.5),
+        extended_error=(0.02, 0.02), noise_floor=0.001, creep=None, detail={"nonlinear": law},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("misfit", "more"), [(0.8, False), (40.0, True)])
+def test_a_law_that_leaves_much_says_so_and_asks_for_more(misfit, more):
+    d = _named(misfit)
+    assert ("40 times what noise" in summarise(d)) is more
+    assert ("Repeat at lower levels" in next_experiment(d, ())) is more
