@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.creep import take_back
 from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.railed import railed
 from labnnum.diagnosis.verdict import Named
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
@@ -43,6 +44,10 @@ class Gate:
 def pass_gates(observations: Sequence[Observation]) -> Gate:
     """Judge clipping; runs in which a channel clips are left out, or that channel where it clips in all of them."""
     clips = beyond([clipped_channel(o) for o in observations], observations)
+    at_rail = False
+    if not any(clips):
+        clips = railed(observations)
+        at_rail = any(clips)
     if not any(clips):
         clips = bent_channel(observations)
     names = [c for c in clips if c]
@@ -57,9 +62,9 @@ def pass_gates(observations: Sequence[Observation]) -> Gate:
     term = Term(ChannelClipping(), Place("channel", name), (parameter,), np.zeros((0, 1)))
     found = Named(term, np.array([level]), np.array([0.01 * level]), 0.99)
     clean = [o for o, c in zip(observations, clips, strict=True) if c != name]
-    if not clean:
-        clean = [_without(o, name) for o in observations]
-        clean = [o for o in clean if o is not None]
+    without = [made for o in observations if (made := _without(o, name)) is not None]
+    if not clean or (at_rail and len(without) == len(observations) and len(without[0].frf.outputs) > 1):
+        clean = without  # a law needs the loud runs more than one channel of them
     return Gate((found,), tuple(clean or observations), distorted)
 
 
