@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import shutil
 import time
@@ -118,6 +119,7 @@ def answer(ticket: Ticket, out: Path, keep: bool, tool: str) -> str:
     (target / "time.json").write_text(json.dumps(times), encoding="utf-8")
     if not keep:
         shutil.rmtree(folder)
+    gc.collect()  # a case leaves cycles that hold its spectra, some hundred MB under long sweeps
     return ticket.name
 
 
