@@ -142,22 +142,22 @@ def beyond(clips: Sequence[str], observations: Sequence[Observation]) -> list[st
     return out
 
 
-HELD_BACK = 0.98
-"""Growth of a clipped channel's peaks from a quieter run, of the others' in the middle, that it stays below."""
+HELD_BACK = {"hammer": 0.98, "random": 1.0}
+"""Growth of a clipped channel's peaks from a quieter run, of the others' in the middle, that it stays below. Peaks of hits
+follow their force; those of noise follow chance within some percent, and what a rail bends is held back by far more."""
 
 
 def _as_free(name: str, clips: Sequence[str], observations: Sequence[Observation]) -> bool:
-    """Whether a channel's peaks grow from a quieter run to those in which it is said to clip as the others' do.
-
-    Peaks of hits follow their force; those of noise follow chance, and say nothing.
-    """
-    loud = [o for c, o in zip(clips, observations, strict=True) if c == name and o.kind == "hammer"]
-    quiet = [o for c, o in zip(clips, observations, strict=True) if c != name and o.kind == "hammer"]
+    """Whether a channel's peaks grow from a quieter run to those in which it is said to clip as the others' do."""
+    known = [(c, o) for c, o in zip(clips, observations, strict=True) if o.kind in HELD_BACK]
+    loud = [o for c, o in known if c == name]
+    quiet = [o for c, o in known if c != name]
     for high in loud:
-        for low in (o for o in quiet if o.level < high.level):
+        for low in (o for o in quiet if o.level < high.level and o.kind == high.kind):
             growth = {c: high.peaks[c] / low.peaks[c] for c in high.peaks if low.peaks.get(c)}
             others = [g for c, g in growth.items() if c != name]
-            if name in growth and len(others) >= 2 and growth[name] > HELD_BACK * float(np.median(others)):
+            held = HELD_BACK[high.kind]
+            if name in growth and len(others) >= 2 and growth[name] > held * float(np.median(others)):
                 return True
     return False
 

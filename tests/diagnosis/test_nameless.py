@@ -167,6 +167,16 @@ def test_hits_on_a_rail_are_held_back(peak, held):
     assert bool(beyond(["", name], [low, high])[1]) is held
 
 
+@pytest.mark.parametrize(("peak", "held"), [(2.4, True), (3.0, True), (4.0, False)])
+def test_noise_on_a_rail_grows_no_more_than_the_others(peak, held):
+    """A law next to a sensor may change that channel's FRF alone, and make it read more than in proportion."""
+    name = OUTPUTS[1].name
+    others = {OUTPUTS[0].name: 1.0, OUTPUTS[2].name: 2.0, "f": 5.0}
+    low = replace(_read(1.0, (1, 1, 1), 1.0, "random"), peaks={**others, name: 1.0})
+    high = replace(_read(3.0, (1, 1.1, 1), 1.0, "random"), peaks={**{k: 3 * v for k, v in others.items()}, name: peak})
+    assert bool(bent_channel([low, high])[1]) is held
+
+
 def test_a_rail_is_where_all_loud_runs_end():
     name = OUTPUTS[1].name
     runs = [_read(level, (1, 1, 1), peak) for level, peak in ((1, 1.0), (3, 2.5), (9, 2.5), (9, 2.5))]
