@@ -143,8 +143,8 @@ def beyond(clips: Sequence[str], observations: Sequence[Observation]) -> list[st
 
 
 HELD_BACK = {"hammer": 0.98, "random": 1.0}
-"""Growth of a clipped channel's peaks from a quieter run, of the others' in the middle, that it stays below. Peaks of hits
-follow their force; those of noise follow chance within some percent, and what a rail bends is held back by far more."""
+"""Growth of a clipped channel's peaks from a quieter run, of the others' in the middle, that it stays below. Peaks of
+hits follow their force; those of noise follow chance within some percent, and a rail holds back far more."""
 
 
 def _as_free(name: str, clips: Sequence[str], observations: Sequence[Observation]) -> bool:
