@@ -206,6 +206,7 @@ def test_a_law_between_two_masses_is_located_named_and_measured(law, p, name, va
     assert found.named[0].term.mechanism.id == name
     assert found.named[0].value[0] == pytest.approx(value, rel=0.1)
     assert found.extended_error[1] < 0.3 * found.base_error[1]
+    assert 0 < found.noise_floor < 3 * found.extended_error[1]  # of the spectra, as the errors are
     assert found.as_dict()["mechanism"]["sense"] == ("hardening" if value > 0 else "softening")
     seen = found.detail["nonlinear"]
     plain, own = levels(seen, linear=True), levels(seen)

@@ -34,8 +34,9 @@ def merged(
     detail = {**rest.detail, "nonlinear": found, "reason": found.reason}
     nonlinear = {**signs, "levels": [float(o.level) for o in observations]}
     source = rest if verdict == "measurement-fault" and not found.named else found
+    noise = rest.noise_floor if source is rest else found.noise  # of the same errors: FRFs hold the distortion as well
     shown = replace(
-        rest, verdict=verdict, named=named if verdict != "unexplained" else (), place=place,
+        rest, noise_floor=noise, verdict=verdict, named=named if verdict != "unexplained" else (), place=place,
         alternatives=source.alternatives, located=source.located, base_error=source.base_error,
         extended_error=source.extended_error, nonlinear=nonlinear, detail=detail,
     )  # fmt: skip
