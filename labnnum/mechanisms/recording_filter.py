@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from labnnum.mechanisms.base import ChannelMechanism, Place, Site, Term
 from labnnum.parameters import Parameter
 
-SECTIONS = 3
-"""Sections of second order at most: an anti-alias filter of sixth order."""
+SECTIONS = 4
+"""Sections of second order at most: an anti-alias filter of eighth order."""
 EVERY = "all"
 """Name of the place: no one channel, but all of them."""
 
@@ -21,7 +21,7 @@ EVERY = "all"
 @final
 @dataclass(frozen=True)
 class RecordingFilter(ChannelMechanism):
-    """A low-pass of one to three sections of second order, 1 / (1 + a s + b s^2) each, on all channels alike."""
+    """A low-pass of one to four sections of second order, 1 / (1 + a s + b s^2) each, on all channels alike."""
 
     id = "recording-filter"
     title = "low-pass of the recorder, common to all channels"

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.signal import cheb1ap
 
 from labnnum.diagnosis.nonlinear.above import Above, above, lines_above
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
@@ -27,10 +28,12 @@ from labnnum.mechanisms.recording_filter import SECTIONS, RecordingFilter
 
 CLOSE = 1e-5
 """Relative gap of a period at which a steady state counts as found: differences of two are taken."""
-CORNERS, SHARPNESS = (0.3, 10.0), (0.3, 6.0)
+CORNERS, SHARPNESS = (0.3, 10.0), (0.3, 10.0)
 """Corner frequencies that a section may have, in units of the highest excited line, and quality factors."""
 STARTS = ((1.0, 0.7), (1.3, 1.5), (2.0, 0.7))
 """The same, where a section begins."""
+STEEP = (1.0, 1.1, 1.2, 1.35)
+"""Corners, in the same units, of steep filters from which further sections begin."""
 STEP = 3e-3
 """Relative step of the finite differences."""
 SMALL, LAST = 1e-2, 1e-3
@@ -92,7 +95,7 @@ def harmonics(found: Study, last: Tried, runs: Sequence[Run], scatter: Scatter) 
 
 
 def fitted(found: Study, last: Tried, runs: Sequence[Run], scatter: Scatter, seen: Above) -> Recorder | None:
-    """The filter of one to three sections that explains the runs best with the laws of `last`; None where none does.
+    """The filter of one to four sections that explains the runs best with the laws of `last`; None where none does.
 
     The loudest run tells, whose harmonics stand out most, and lines above the band are weighed by what no factor
     explains there. One more section is taken where it gains far more than chance, lines of a neighbourhood counted
@@ -111,7 +114,9 @@ def fitted(found: Study, last: Tried, runs: Sequence[Run], scatter: Scatter, see
         loop.weigh(seen, start)
         best = loop.fit([start])
         while best is not None and best.n < SECTIONS:
-            other = loop.fit([np.append(best.shape, _far(loop.top)), _rough(seen, loop.top, best.n + 1)])
+            more = best.n + 1
+            begun = [np.append(best.shape, _far(loop.top)), _rough(seen, loop.top, more)]
+            other = loop.fit([*begun, *(_steep(c * loop.top, more) for c in STEEP)])
             if other is None or GROUPS * np.log(best.cost / other.cost) < CHANCE:
                 break
             best = other
@@ -267,6 +272,16 @@ def _sections(end: _End) -> tuple[NDArray[np.float64], NDArray[np.float64], floa
 def _far(top: float) -> NDArray[np.float64]:
     """A section that does little yet."""
     return np.log([4.0 * top, 0.7])
+
+
+def _steep(corner: float, n: int) -> NDArray[np.float64]:
+    """The sections of a Chebyshev filter of order 2 n with a ripple of 0.1 dB: as flat in the band and as steep beyond
+    it as anti-alias filters are made.
+    """
+    poles = cheb1ap(2 * n, 0.1)[1]
+    upper = poles[poles.imag > 0]
+    size = np.abs(upper)
+    return np.log(np.stack([corner * size, size / (-2 * upper.real)], axis=1)).ravel()
 
 
 def _rough(seen: Above, top: float, n: int) -> NDArray[np.float64]:
