@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sessions.prove.truth import march as m
+from sessions.prove.truth.nonlinear import coarser
 
 W, ZETA, RATE = 2 * np.pi * 5.0, 0.02, 2000.0
 
@@ -161,3 +162,27 @@ def test_two_laws_hold_at_once():
     found = solve_ivp(slope, (0, t[-1]), np.zeros(4), t_eval=t, rtol=1e-9, atol=1e-10, max_step=1e-3)
     exact = coupling.shape @ found.y[:2]
     assert np.max(np.abs(z - exact)) < 2e-3 * np.max(np.abs(exact))
+
+
+@pytest.mark.parametrize("give", [0.0, 1e-6])
+@pytest.mark.parametrize("limit", [0.2, 1.0])
+def test_friction_of_many_modes_converges_whether_what_is_left_out_gives_way_or_not(limit, give):
+    w = 2 * np.pi * np.array([10, 27, 55, 90, 140, 200, 280, 380.0])
+    shape = np.array([[1, -0.8, 0.9, -0.7, 0.8, 0.9, -0.6, 0.7]])
+    load = np.array([1, 0.7, -0.8, 0.9, 0.5, -0.6, 0.7, 0.4])
+    coupling = m.Coupling(w**2, 0.02 * w, shape, load, np.array([[give]]), np.zeros(1))
+    rng, rate, n = np.random.default_rng(3), 400.0, 2000
+    tones, phases = rng.uniform(5, 60, 40), rng.uniform(0, 2 * np.pi, 40)
+    c = np.zeros((1, 8))
+    c[0, 0] = limit
+
+    def mean_force(over):
+        t = np.arange(n * over) / (rate * over)
+        u = np.cos(2 * np.pi * tones[:, None] * t + phases[:, None]).sum(axis=0) / 6
+        return coarser(m.march(coupling, m.Laws(np.array([m.COULOMB]), c), u, 1 / (rate * over))[2][0], over, True)
+
+    inside = slice(100, -400)
+    exact = mean_force(128)[inside]
+    errors = [np.std(mean_force(over)[inside] - exact) / np.std(exact) for over in (8, 32)]
+    assert errors[1] < 2.5e-3
+    assert errors[0] > 3 * errors[1]

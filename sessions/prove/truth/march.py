@@ -1,8 +1,10 @@
 """Time marching of a structure with local nonlinear laws: exact modes between steps, implicit laws at each step.
 
 Every mode is carried over a step exactly (matrix exponential, load linear in the step). The laws' forces at the
-end of the step are found implicitly, with set-valued friction and slip by return mapping. A step in which a
-contact closes or opens, or a slider lets go or sticks, is done again in `PARTS` smaller ones.
+end of the step are found implicitly, with set-valued friction and slip by return mapping. Dry friction is constant
+within a step: a straight line from one limit to the other, or to what holds, would ring. A step in which a contact
+closes or opens, or a slider lets go or sticks, is halved again and again until the event lies between two moments
+that are `1 / 2**HALVED` of it apart.
 """
 
 from __future__ import annotations
@@ -14,11 +16,14 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-PARTS = 8
+HALVED = 8
 STATES = 8
-SWEEPS = 4
+SWEEPS, SETTLED = 40, 1e-11
 
 CUBIC, QUADRATIC, GAP, CLEARANCE, COULOMB, DRAG, SLIDERS, BOUC_WEN, VAN_DER_POL, SIGNED_SQUARE, DELAY = range(11)
+SEATED = 11
+"""Dry friction where the modes left out give way by more than the structure moves within a step: it holds a place, and
+not a speed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,21 +61,24 @@ class Laws:
 
 
 def march(coupling: Coupling, laws: Laws, signal: NDArray, step: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Stretch, its speed and force of every law from rest, each (n_laws, n_samples), under samples of the input."""
-    whole = steps(coupling, step)
-    part = steps(coupling, step / PARTS)
+    """Stretch, its speed and force of every law from rest, each (n_laws, n_samples), under samples of the input.
+
+    The force of dry friction is its mean over the step before the sample (`averaged`), since it jumps within.
+    """
+    sizes = [steps(coupling, step / 2**j) for j in range(HALVED + 1)]
+    A, start, end = (np.array([s[i] for s in sizes]) for i in range(3))
+    within = np.square(coupling.shape) @ end[0, :, 0]  # what a force does to its own place within a step
+    seated = (laws.kind == COULOMB) & (2 * np.diag(coupling.remainder) > within)
     return _march(
-        *whole,
-        *part,
-        np.ascontiguousarray(coupling.shape),
-        coupling.load,
-        coupling.remainder,
-        coupling.remainder_load,
-        laws.kind,
-        laws.constants,
-        np.ascontiguousarray(signal, float),
-        step,
-    )
+        A, start, end, np.ascontiguousarray(coupling.shape), coupling.load, coupling.remainder,
+        coupling.remainder_load, np.where(seated, SEATED, laws.kind), laws.constants,
+        np.ascontiguousarray(signal, float), step,
+    )  # fmt: skip
+
+
+def averaged(laws: Laws) -> NDArray[np.bool_]:
+    """Whether `march` gives a law's force as its mean over steps, (n_laws,)."""
+    return laws.kind == COULOMB
 
 
 def steps(coupling: Coupling, step: float) -> tuple[NDArray, NDArray, NDArray]:
@@ -173,6 +181,11 @@ def _force(kind, c, z, v, dz0, az, av, late, old, new):
             new[0] = -1.0
             return -c[0], -1
         return stick, 0
+    if kind == SEATED:
+        trial = (z - old[0]) / az
+        f = min(max(trial, -c[0]), c[0])
+        new[0] = old[0] if f == trial else z - az * f
+        return f, 0 if f == trial else int(_sign(f))
     if kind == DELAY:
         return (c[0] * late + c[2] * v) / (1.0 + av * c[2]), 0
     f, branch = 0.0, 0
@@ -213,33 +226,44 @@ def _advance(A, start, end, shape, load, rest, rest_load, kind, const, q, p, u, 
         for e in range(n):
             zp[e] += shape[e, r] * a0
             vp[e] += shape[e, r] * a1
-            for g in range(n):
-                az[e, g] += shape[e, r] * end[r, 0] * shape[g, r]
-                av[e, g] += shape[e, r] * end[r, 1] * shape[g, r]
+        for g in range(n):
+            w0, w1 = _weights(kind[g], start[r], end[r])
+            for e in range(n):
+                az[e, g] += shape[e, r] * w0 * shape[g, r]
+                av[e, g] += shape[e, r] * w1 * shape[g, r]
     for e in range(n):
         zp[e] += rest_load[e] * u
-        vp[e] += (rest_load[e] * u - resid[e]) / h
         fn[e] = f[e]
+        if kind[e] == COULOMB:
+            av[e] -= rest[e] / h
+        else:
+            vp[e] += (rest_load[e] * u - resid[e]) / h
     branches = 0
     for _ in range(1 if n == 1 else SWEEPS):
         branches = 0
+        change, size = 0.0, 1e-300
         for e in range(n):
             z, v = zp[e], vp[e]
             for g in range(n):
                 if g != e:
                     z -= az[e, g] * fn[g]
                     v -= av[e, g] * fn[g]
+            before = fn[e]
             fn[e], branch = _force(kind[e], const[e], z, v, z - zs[e], az[e, e], av[e, e], late[e], old[e], new[e])
             zn[e], vn[e] = z - az[e, e] * fn[e], v - av[e, e] * fn[e]
             branches = branches * 100003 + branch
+            change, size = max(change, abs(fn[e] - before)), max(size, abs(fn[e]))
+        if change <= SETTLED * size:
+            break
     for r in range(m):
         pn[r] = load[r] * u
-        push = 0.0
         for e in range(n):
-            push += shape[e, r] * fn[e]
-        pn[r] -= push
-        qn[r, 0] -= end[r, 0] * push
-        qn[r, 1] -= end[r, 1] * push
+            push = shape[e, r] * fn[e]
+            w0, w1 = _weights(kind[e], start[r], end[r])
+            qn[r, 0] -= w0 * push
+            qn[r, 1] -= w1 * push
+            if kind[e] != COULOMB:
+                pn[r] -= push
     for e in range(n):
         resid[e] = rest_load[e] * u
         for g in range(n):
@@ -248,16 +272,25 @@ def _advance(A, start, end, shape, load, rest, rest_load, kind, const, q, p, u, 
 
 
 @numba.njit(cache=True)
-def _march(A, start, end, A2, start2, end2, shape, load, rest, rest_load, kind, const, signal, h):
+def _weights(kind, start, end):
+    """What a law's force at the end of a step does to a mode's motion and speed; dry friction acts all the step."""
+    if kind == COULOMB:
+        return start[0] + end[0], start[1] + end[1]
+    return end[0], end[1]
+
+
+@numba.njit(cache=True)
+def _march(A, start, end, shape, load, rest, rest_load, kind, const, signal, h):
     n, m, total = shape.shape[0], shape.shape[1], signal.size
     z, v, f = np.zeros((n, total)), np.zeros((n, total)), np.zeros((n, total))
     q, p = np.zeros((m, 2)), np.zeros(m)
     qn, pn, resid, was = np.zeros((m, 2)), np.zeros(m), np.zeros(n), np.zeros(n)
     zn, vn, fn = np.zeros(n), np.zeros(n), np.zeros(n)
+    z0, f0 = zn.copy(), fn.copy()
     old, new = np.zeros((n, STATES)), np.zeros((n, STATES))
     late = np.zeros(n)
     out = (qn, pn, zn, vn, fn, resid)
-    q0, p0, z0, f0 = q.copy(), p.copy(), zn.copy(), fn.copy()
+    whole = 2**HALVED
     last = 0
     for i in range(1, total):
         for e in range(n):
@@ -265,60 +298,37 @@ def _march(A, start, end, A2, start2, end2, shape, load, rest, rest_load, kind, 
                 back = i - const[e, 1] / h
                 k = int(np.floor(back))
                 late[e] = z[e, k] + (back - k) * (z[e, k + 1] - z[e, k]) if k >= 0 and k + 1 < i else 0.0
-        was[:] = resid
-        new[:] = old
-        branches = _advance(
-            A,
-            start,
-            end,
-            shape,
-            load,
-            rest,
-            rest_load,
-            kind,
-            const,
-            q,
-            p,
-            signal[i],
-            z[:, i - 1],
-            f[:, i - 1],
-            old,
-            new,
-            late,
-            h,
-            out,
-        )
-        if branches != last:
-            resid[:] = was
-            q0[:], p0[:], z0[:], f0[:] = q, p, z[:, i - 1], f[:, i - 1]
-            for j in range(1, PARTS + 1):
-                u = signal[i - 1] + (signal[i] - signal[i - 1]) * j / PARTS
-                new[:] = old
-                branches = _advance(
-                    A2,
-                    start2,
-                    end2,
-                    shape,
-                    load,
-                    rest,
-                    rest_load,
-                    kind,
-                    const,
-                    q0,
-                    p0,
-                    u,
-                    z0,
-                    f0,
-                    old,
-                    new,
-                    late,
-                    h / PARTS,
-                    out,
-                )
-                q0[:], p0[:], z0[:], f0[:] = qn, pn, zn, fn
-                old[:] = new
-        last = branches
-        q[:], p[:] = qn, pn
-        old[:] = new
-        z[:, i], v[:, i], f[:, i] = zn, vn, fn
+        at, size = 0, whole
+        while at < whole:
+            j = 0
+            while whole >> j > size:
+                j += 1
+            was[:] = resid
+            new[:] = old
+            u = signal[i - 1] + (signal[i] - signal[i - 1]) * (at + size) / whole
+            branches = _advance(
+                A[j], start[j], end[j], shape, load, rest, rest_load, kind, const, q, p, u, z0, f0, old, new, late,
+                h * size / whole, out,
+            )  # fmt: skip
+            if branches != last and size > 1:
+                resid[:] = was
+                size //= 2
+                continue
+            last = branches
+            at += size
+            q[:], p[:], z0[:] = qn, pn, zn
+            for e in range(n):
+                if kind[e] == COULOMB:
+                    f[e, i] += fn[e] * size / whole
+                elif kind[e] == SEATED:
+                    f[e, i] += 0.5 * (f0[e] + fn[e]) * size / whole
+            f0[:] = fn
+            old[:] = new
+            size = at & -at  # the largest that ends on a multiple of itself
+            while at < whole and at + size > whole:
+                size //= 2
+        for e in range(n):
+            z[e, i], v[e, i] = zn[e], vn[e]
+            if kind[e] != COULOMB and kind[e] != SEATED:
+                f[e, i] = fn[e]
     return z, v, f

@@ -32,8 +32,8 @@ from sessions.prove.truth.physics import (
 from sessions.prove.truth.respond import Plant, answers, transfer
 from sessions.prove.truth.state import Fault, LawTerm, State, plant
 
-FINENESS = 36
-"""Steps a period at the top of the band."""
+FINENESS, FRICTION = 36, 144
+"""Steps a period at the top of the band; of dry friction, whose jumps and stops excite what lies above."""
 REACH = 6.0
 """Modes above this many times the top of the band act by their flexibility only."""
 LEAD = 256
@@ -44,13 +44,15 @@ STRENGTH = {True: 9.81, False: 20.0}
 def nonlinear(state: State, signal: NDArray, rate: float) -> NDArray[np.float64]:
     """What every output measures, from rest, while the input is `signal`, shape (n_out, n_samples)."""
     whole = plant(state)
-    over = int(np.ceil(FINENESS * band(state)[1] / rate))
+    laws = _laws(state)
+    fine = FRICTION if march.averaged(laws).any() else FINENESS
+    over = int(np.ceil(fine * band(state)[1] / rate))
     rows = np.array([t.row for t in state.laws])[:, state.mesh.active]
-    forces = march.march(coupling(whole, rows, band(state)[1]), _laws(state), finer(signal, over), 1 / (rate * over))[2]
+    forces = march.march(coupling(whole, rows, band(state)[1]), laws, finer(signal, over), 1 / (rate * over))[2]
     out = answers(whole, [signal], rate, (0.0, rate / 2))[0]
-    for row, force in zip(rows, forces, strict=True):
+    for row, force, mean in zip(rows, forces, march.averaged(laws), strict=True):
         alone = replace(whole, load=row, carried=0 * whole.carried, extras=())
-        out = out - answers(alone, [coarser(force, over)], rate, (0.0, rate / 2))[0]
+        out = out - answers(alone, [coarser(force, over, mean)], rate, (0.0, rate / 2))[0]
     return out
 
 
@@ -78,17 +80,22 @@ def finer(signal: NDArray, over: int) -> NDArray[np.float64]:
     return over * np.fft.irfft(np.fft.rfft(signal), signal.size * over)
 
 
-def coarser(signal: NDArray, over: int) -> NDArray[np.float64]:
+def coarser(signal: NDArray, over: int, mean: bool = False) -> NDArray[np.float64]:
     """Every `over`-th sample of the signal after an ideal filter at half the new rate.
 
-    The end is led back to the beginning softly, so that the filter does not ring there.
+    The end is led back to the beginning softly, so that the filter does not ring there. `mean`: whether the samples are
+    means over the step before each, of which the filter undoes what that takes off and how late it is.
     """
     n = signal.size // over
     total = n + LEAD + n % 2
     rest = (total - n) * over
     fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(rest) / rest)
     led = np.concatenate([signal, signal[0] + (signal[-1] - signal[0]) * fade])
-    return np.fft.irfft(np.fft.rfft(led)[: total // 2 + 1], total)[:n] / over
+    spectrum = np.fft.rfft(led)[: total // 2 + 1]
+    if mean:
+        half = np.pi * np.arange(spectrum.size) / (total * over)
+        spectrum = spectrum * np.exp(1j * half) / np.sinc(half / np.pi)
+    return np.fft.irfft(spectrum, total)[:n] / over
 
 
 def stretch(state: State, row: NDArray) -> tuple[float, float, float]:
