@@ -61,9 +61,22 @@ def lines_of(y):
     return np.fft.rfft(y, axis=1)[:, : PERIOD // 2 + 1] * 2 / y.shape[1]
 
 
+def seated():
+    """The chain with a light mass on a stiff spring at node 3, whose mode is far above the band."""
+    links = [Link("1", "ground", "k1", 4.0), Link("3", "5", 30000.0, 0.0)]
+    links += [Link(str(i), str(i + 1), 1000.0, 4.0) for i in range(1, 4)]
+    prior = (Parameter("k1", 1000.0, 700.0, 1300.0, "N/m", std=50.0),)
+    return Chain({**{str(i): 1.0 for i in range(1, 5)}, "5": 0.001}, tuple(links), prior)
+
+
+SEAT = np.array([0.0, -1.0, 0.0, 0.0, 1.0])
+"""From node 2 to the light mass of `seated`."""
+
+
 def steady(structure, spectrum, law, p):
     engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
-    base = Base(engine, engine.start(), joint_23()[:, None], 2 * np.pi * np.arange(PERIOD // 2 + 1) * RATE / PERIOD)
+    column = SEAT if len(structure.dofs) == SEAT.size else joint_23()
+    base = Base(engine, engine.start(), column[:, None], 2 * np.pi * np.arange(PERIOD // 2 + 1) * RATE / PERIOD)
     none = np.zeros((3, PERIOD // 2 + 1))
     run = Run(RATE, PERIOD, spectrum, none + 0j, none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
     parameters = np.zeros((1, 10))
@@ -107,17 +120,18 @@ def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
 
 
 @pytest.mark.parametrize(
-    ("law", "p"),
+    ("law", "p", "of"),
     [
-        ("cubic", (3e4,)),
-        ("quadratic-damping", (2.0,)),
-        ("clearance", (500.0, 0.002)),
-        ("coulomb", (2.0,)),
-        ("sliders", (400.0, 6.0, 0.7)),
+        ("cubic", (3e4,), chain),
+        ("quadratic-damping", (2.0,), chain),
+        ("clearance", (500.0, 0.002), chain),
+        ("coulomb", (2.0,), chain),
+        ("coulomb", (2.0,), seated),
+        ("sliders", (400.0, 6.0, 0.7), chain),
     ],
 )
-def test_slopes_are_those_of_finite_steps(law, p):
-    base, solver, parameters = steady(chain(), multisine(25.0, 2), law, p)
+def test_slopes_are_those_of_finite_steps(law, p, of):
+    base, solver, parameters = steady(of(), multisine(25.0, 2), law, p)
     x = base.start()
     r = base.at(x)
     orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-9)
@@ -151,6 +165,26 @@ def test_dry_friction_jumps_where_it_does_and_not_where_a_step_ends(limit):
 
     fine, made = response(64), response(2)
     assert np.linalg.norm(made - fine) < {0.5: 2e-3, 2.0: 8e-3, 5.0: 2.5e-2}[limit] * np.linalg.norm(fine)
+
+
+@pytest.mark.parametrize("limit", [0.5, 2.0, 5.0])
+def test_dry_friction_on_a_seat_that_gives_way_converges_with_the_square_of_the_step(limit):
+    """The truth is a slider with the seat's stiffness on the structure without the light mass."""
+    spectrum = multisine(25.0, 1)
+    base, coarse, parameters = steady(seated(), spectrum, "coulomb", (limit,))
+    r = base.at(base.start())
+
+    def response(fine):
+        solver = Steady(coarse.run, coarse.codes, fine)
+        assert solver.prepare(r).seated.all()
+        orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 40, 1e-7, warm=4)
+        return (r.lift * (r.plain * spectrum + (r.h * orbit.force).sum(axis=1)))[:, 7:150]
+
+    errors = [np.linalg.norm(response(fine) - response(128)) for fine in (4, 16)]
+    assert errors[1] < 2e-3 * np.linalg.norm(response(128))
+    assert errors[0] > 4 * errors[1]
+    slider = marched(spectrum, [Element("jenkins", joint_23(), (30000.0, limit))], chain(), fine=32)
+    assert np.linalg.norm(response(128) - lines_of(slider)[:, 7:150]) < 0.01 * np.linalg.norm(response(128))
 
 
 @pytest.mark.parametrize("before", [0.7, -0.7, 1e-12, 0.0])

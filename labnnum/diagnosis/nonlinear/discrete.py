@@ -17,7 +17,7 @@ class Discrete:
     """Transitions T (4, m) and weights W0, W1 (2, m) of modes w (k, m) over one step, and the march's transfers.
 
     `inner`, `rate` (k, k): motion and speed that a force causes within its own step; `back` what of the speed the force
-    of the step before takes away. `gz`, `gv` (k, k, n_lines): motion and speed of the places to forces as they are
+    of the step before takes away; `seated` (k,) whether dry friction holds a place there. `gz`, `gv` (k, k, n_lines): motion and speed of the places to forces as they are
     marched; `miss_z`, `miss_v` what the exact receptances have beyond; `xq`, `xv` (m, n_lines) states of the modes.
     """
 
@@ -28,12 +28,18 @@ class Discrete:
     inner: NDArray
     rate: NDArray
     back: NDArray
+    seated: NDArray
     gz: NDArray
     gv: NDArray
     miss_z: NDArray
     miss_v: NDArray
     xq: NDArray
     xv: NDArray
+
+
+SEATED = 1.5
+"""How much more than within a step by its own inertia a place must give way by what follows at once, for dry friction to
+hold the place and not the speed: a stiffer seat rings from step to step, and a softer one has a speed of its own."""
 
 
 def discrete(r: Receptance, step: float, top: int) -> Discrete:
@@ -59,12 +65,14 @@ def discrete(r: Receptance, step: float, top: int) -> Discrete:
     pairs = (w[:, None] * w[None]).reshape(k * k, omega.size)
     gz = (pairs @ xq).reshape(k, k, r.s.size) + rest[:, :, None]
     gv = (pairs @ xv).reshape(k, k, r.s.size)
-    inner = (w * W1[0]) @ w.T + rest
+    inner = (w * W1[0]) @ w.T
+    seated = np.diag(rest) > SEATED * np.diag(inner)
+    inner = inner + rest
     back = rest / step  # what follows at once has a speed as well
     gv += back[:, :, None] * (1 - 1 / turn)
     rate = (w * W1[1]) @ w.T + back
     return Discrete(
-        T, W0, W1, w, inner, rate, back, gz, gv, r.g - gz, r.s * r.g - gv, xq, xv,
+        T, W0, W1, w, inner, rate, back, seated, gz, gv, r.g - gz, r.s * r.g - gv, xq, xv,
     )  # fmt: skip
 
 

@@ -207,8 +207,29 @@ def _part(v, c, before):  # pragma: no cover - compiled
 
 
 @njit(cache=True)
-def solve_force(code, z, v, gz, gv, p, memory, guess, lp, d):  # pragma: no cover - compiled
-    """Force f on the structure with f = -law(z + gz f, v + gv f)."""
+def _place(v, gv, f, memory, step, d):  # pragma: no cover - compiled
+    """Where dry friction holds from a step on: where it stood, or turned within the step if it slid with the force f
+    and then at the speed `memory[1]`; v is the speed at the end without it. In d: slopes of that to both speeds.
+    """
+    before, after = memory[1], v + gv * f
+    d[0] = d[1] = 0.0
+    if before * f >= 0.0 or before * after >= 0.0:
+        return memory[0]
+    fall = before - after
+    d[0] = 0.5 * step * before * (before - 2.0 * after) / fall**2
+    d[1] = 0.5 * step * before**2 / fall**2
+    return memory[0] + 0.5 * step * before**2 / fall
+
+
+@njit(cache=True)
+def solve_force(code, z, v, gz, gv, seated, p, memory, last, guess, step, lp, d):  # pragma: no cover - compiled
+    """Force f on the structure with f = -law(z + gz f, v + gv f); `last` is that of the step before.
+
+    Dry friction that is `seated` holds a place, else it holds the speed.
+    """
+    if code == 4 and seated:
+        slid = last if abs(last) >= p[0] else 0.0
+        return min(max((_place(v, gv, slid, memory, step, d) - z) / gz, -p[0]), p[0])
     if code == 4:
         return -p[0] * _part(v, max(gv, 0.0) * p[0], memory[0])
     f = guess
@@ -335,12 +356,35 @@ def _solved(a, rhs, out):  # pragma: no cover - compiled
 
 @njit(cache=True, error_model="numpy")
 def march(
-    T, W0, W1, w, gz, gv, before, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds, dforces
+    T,
+    W0,
+    W1,
+    w,
+    gz,
+    gv,
+    before,
+    seated,
+    stride,
+    source,
+    codes,
+    p,
+    x,
+    f,
+    memory,
+    forces,
+    motion,
+    X,
+    df,
+    dmem,
+    dp,
+    ds,
+    dforces,
 ):  # pragma: no cover - compiled
     """Advance over all steps of `source` (n, k, 2); forces (n, k) and motion (n, k, 2) at the ends of the steps.
 
     T (4, m), W0 and W1 (2, m) transition and weights of each mode; w (k, m) motions; gz, gv (k, k) what a force
-    does within its own step, `before` (k, k) what of the speed the force of the step before takes away; x (2, m),
+    does within its own step, `before` (k, k) what of the speed the force of the step before takes away, `seated` (k,)
+    whether dry friction there holds a place; `stride` the step in time; x (2, m),
     f (k,), memory (k, M) state, changed in place. Tangents: X (2, m, t), df
     (k, t), dmem (k, M, t) their states; dp (k, P, t) which parameter each varies; ds (n, k, 2, s) their sources, those
     of the first s tangents; dforces (n, k, t). Returns the number of steps whose forces did not settle.
@@ -378,7 +422,9 @@ def march(
                 see[e, 1] -= before[e, o] * f[o]
         _states_on(x, f, T, V0, w, see)
         if k == 1:
-            new[0] = solve_force(codes[0], see[0, 0], see[0, 1], gz[0, 0], gv[0, 0], p0, memory0, f[0], lp0, d0)
+            new[0] = solve_force(
+                codes[0], see[0, 0], see[0, 1], gz[0, 0], gv[0, 0], seated[0], p0, memory0, f[0], f[0], stride, lp0, d0
+            )  # fmt: skip
         else:
             for e in range(k):
                 new[e] = f[e]
@@ -392,7 +438,9 @@ def march(
                         if o != e:
                             z += gz[e, o] * new[o]
                             v += gv[e, o] * new[o]
-                    one = solve_force(codes[e], z, v, gz[e, e], gv[e, e], p[e], memory[e], new[e], lp[e], d[e])
+                    one = solve_force(
+                        codes[e], z, v, gz[e, e], gv[e, e], seated[e], p[e], memory[e], f[e], new[e], stride, lp[e], d[e]
+                    )  # fmt: skip
                     change = max(change, abs(one - new[e]))
                     size = max(size, abs(one))
                     new[e] = one
@@ -422,6 +470,23 @@ def march(
             _tangents_on(X, df, T, V0, w, dsee)
             for e in range(k):
                 code = codes[e]
+                if code == 4 and seated[e]:
+                    holds = abs(new[e]) < p[e, 0]
+                    slid = abs(f[e]) >= p[e, 0]
+                    v = motion[step, e, 1] - gv[e, e] * new[e]
+                    _place(v, gv[e, e], f[e] if slid else 0.0, memory[e], stride, d[e])
+                    fz[e], fv[e] = 1e30 if holds else 0.0, 0.0
+                    s = -1.0 if new[e] > 0 else 1.0
+                    for t in range(nt):
+                        if not holds:
+                            rhs[e, t] = -s * dp[e, 0, t]
+                            continue
+                        rhs[e, t] = dmem[e, 0, t] - dsee[e, 0, t]
+                        if d[e, 0] != 0.0:
+                            after = dsee[e, 1, t] + gv[e, e] * df[e, t]
+                            rhs[e, t] += d[e, 0] * dmem[e, 1, t] + d[e, 1] * after
+                            dmem[e, 0, t] = rhs[e, t] + dsee[e, 0, t]
+                    continue
                 if code == 4:
                     v, earlier = motion[step, e, 1], memory[e, 0]
                     moved = (v - earlier) ** 2
@@ -460,7 +525,10 @@ def march(
                             for t in range(nt):
                                 rhs[e, t] += p[e, 0] / SLIDERS * dmem[e, i, t]
             for e in range(k):
-                if fv[e] > 1e29:
+                if fz[e] > 1e29:  # dry friction holds its place
+                    for o in range(k):
+                        a[e, o] = gz[e, o]
+                elif fv[e] > 1e29:
                     for t in range(nt):
                         rhs[e, t] = -dsee[e, 1, t]
                     for o in range(k):
@@ -481,11 +549,17 @@ def march(
             for e in range(k):
                 code = codes[e]
                 if code == 4:
+                    if seated[e] and fz[e] == 0.0:
+                        for t in range(nt):
+                            dz = dsee[e, 0, t]
+                            for o in range(k):
+                                dz += gz[e, o] * df[o, t]
+                            dmem[e, 0, t] = dz
                     for t in range(nt):
                         dv = dsee[e, 1, t]
                         for o in range(k):
                             dv += gv[e, o] * df[o, t]
-                        dmem[e, 0, t] = dv
+                        dmem[e, 1 if seated[e] else 0, t] = dv
                 elif code == 6 and fz[e] == 0.0 and p[e, 0] > 0.0:
                     s = -1.0 if new[e] > 0 else 1.0
                     for t in range(nt):
@@ -520,7 +594,13 @@ def march(
                             dmem[e, i, t] = dz - s * back / p[e, 0]
         for e in range(k):
             code = codes[e]
-            if code == 4:
+            if code == 4 and seated[e]:
+                z, v = motion[step, e, 0], motion[step, e, 1]
+                slid = f[e] if abs(f[e]) >= p[e, 0] else 0.0
+                place = _place(v - gv[e, e] * new[e], gv[e, e], slid, memory[e], stride, d[e])
+                memory[e, 0] = place if abs(new[e]) < p[e, 0] else z
+                memory[e, 1] = v
+            elif code == 4:
                 memory[e, 0] = motion[step, e, 1]
             elif code == 6:
                 z = motion[step, e, 0]
