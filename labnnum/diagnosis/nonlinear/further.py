@@ -87,14 +87,15 @@ def further(
     return best if gain > max(alarm, GAIN * left) else None
 
 
-MEMORY = ("stick-slip", "sliders", "hysteresis", "coulomb-friction")
-"""Laws of which one contains another: a slider without a spring, with one, with its corners rounded."""
+YIELDING = ("stick-slip", "sliders", "hysteresis")
+"""Laws of which one contains another: a slider with a spring, many of them, its corners rounded. Dry friction beside one
+of them is a second slider, that has no spring."""
 
 
 def _again(lead: Lead, held: Sequence[Acting]) -> bool:
     """Whether a law of the same kind acts at the lead's place already: two of them say that it is neither."""
     here = [t.mechanism for t in held if np.array_equal(np.abs(t.column), np.abs(lead.spot.column))]
-    return lead.mechanism in here or (lead.mechanism in MEMORY and any(m in MEMORY for m in here))
+    return lead.mechanism in here or (lead.mechanism in YIELDING and any(m in YIELDING for m in here))
 
 
 def _with_one_more(o: Orbit | None) -> Orbit | None:

@@ -17,7 +17,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fits
 from labnnum.diagnosis.nonlinear.effort import TWO, spent, tired
 from labnnum.diagnosis.nonlinear.explore import LAWS, LONG, Prospect, engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
-from labnnum.diagnosis.nonlinear.further import MEMORY, needed
+from labnnum.diagnosis.nonlinear.further import YIELDING, needed
 from labnnum.diagnosis.nonlinear.laws import SHAPES, candidates
 from labnnum.diagnosis.nonlinear.leads import companion_columns, law_column
 from labnnum.diagnosis.nonlinear.locate import (
@@ -390,7 +390,7 @@ def _sizes(gram: NDArray, along: NDArray, i: int, j: int) -> NDArray[np.float64]
 
 def _alike(a: str, b: str) -> bool:
     """Whether two laws at one place are of a kind."""
-    return a == b or (a in MEMORY and b in MEMORY)
+    return a == b or (a in YIELDING and b in YIELDING)
 
 
 def _allowed(lead: Lead, size: float) -> bool:

@@ -81,12 +81,13 @@ class Joint:
         n = engine.basis.shape[0]
         columns = np.array([t.column for t in terms]).T.reshape(n, len(terms))
         self.k = len(terms)
+        jumps = any(t.shape.law == "coulomb" for t in terms)
         self.bases: dict[Any, Base] = {}
         for key in {r.key for r in runs}:
             period, rate, decay = key
             omega = 2 * np.pi * np.arange(period // 2 + 1) * rate / period
             need = np.unique(np.concatenate([a.need for r, a in zip(runs, lines, strict=True) if r.key == key]))
-            self.bases[key] = Base(engine, point, columns, omega, decay, None if whole else need)
+            self.bases[key] = Base(engine, point, columns, omega, decay, None if whole else need, jumps)
         first = next(iter(self.bases.values()))
         self.x0 = first.start()
         self.n_base = self.x0.size

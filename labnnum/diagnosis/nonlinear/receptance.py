@@ -61,6 +61,9 @@ MARCHED = 2.8
 """Of a model: twice the highest line that is kept, so that what the others do beyond their flexibility stays a small
 correction there."""
 
+JUMPING = 6.0
+"""The same where a force jumps: what stops at once rings far above the band, and starts and stops again by it."""
+
 IDENTIFIED = 1.4
 """Of a model that was identified: its mode above the band stands for all that lie there."""
 
@@ -73,7 +76,8 @@ def per_place(engine: Engine) -> int:
 class Base:
     """The base model at places `columns` (n, k), on lines s = decay + i omega (n_f,) of which the first may be zero.
 
-    Where `lines` are given, what concerns sensors (`plain`, `h`, `lift`) is held on those lines only.
+    Where `lines` are given, what concerns sensors (`plain`, `h`, `lift`) is held on those lines only. `jumps`: whether a
+    force acts that jumps, which modes farther above the band are marched for.
 
     The vector that may vary holds the structure's parameters, then for each band mode a frequency offset, the
     logarithm of its damping, an offset of its load, and, place by place, of its motion there, as in
@@ -83,9 +87,9 @@ class Base:
 
     def __init__(
         self, engine: Engine, point: Point, columns: NDArray, omega: NDArray, decay: float = 0.0,
-        lines: NDArray | None = None,
+        lines: NDArray | None = None, jumps: bool = False,
     ) -> None:  # fmt: skip
-        self.engine, self.point, self.columns = engine, point, columns
+        self.engine, self.point, self.columns, self.jumps = engine, point, columns, jumps
         self.decay, self.turn = float(decay), np.asarray(omega, float)
         self.s = decay + 1j * self.turn
         self.lines = np.arange(self.s.size) if lines is None else lines
@@ -176,7 +180,7 @@ class Base:
         if e.is_base:
             plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)[:, self.lines]
         rest = high_w @ high_w.T
-        reach = IDENTIFIED if isinstance(e.structure, ModalStructure) else MARCHED
+        reach = IDENTIFIED if isinstance(e.structure, ModalStructure) else JUMPING if self.jumps else MARCHED
         return Receptance(
             self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines, reach
         )  # fmt: skip
