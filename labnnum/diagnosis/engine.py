@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.affine import affine
+from labnnum.diagnosis.attached import Attached
 from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.irregular import Irregular
 from labnnum.diagnosis.mesh import FINE, Inside
@@ -76,6 +77,8 @@ class Engine:
         self._seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
         self._share: tuple[tuple, NDArray[np.complex128]] | None = None
         self._taken: dict[bytes, NDArray[np.complex128]] = {}
+        self._lifts: dict[bytes, NDArray[np.complex128]] = {}
+        self._attached: dict[tuple[int, ...], tuple[Attached, tuple[Term, ...]]] = {}
         self._grids: dict[tuple[int, int, int], tuple] = {}
         self._turns: dict[tuple[float, float], NDArray[np.float64]] = {}
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
@@ -137,6 +140,8 @@ class Engine:
         high = vector[:, use:] / np.where(omega[use:] > 0, omega[use:], np.inf)
         self.high = high  # columns phi / omega: static remainder is high @ high.T
         self.high_omega = omega[use:]
+        self.high_softness = np.where(omega[use:] > 0, 1.0 / np.maximum(omega[use:], 1e-300), 0.0) ** 2
+        self._onto_basis = self.basis.T @ mass
 
     def _damping(self, first: State) -> NDArray[np.float64]:
         m = self.structure.matrices(self.theta0)
@@ -260,7 +265,7 @@ class Engine:
         own, shape = own * turned, shape * turned
         whole = own if changes else shape
         sensors, drives = self._rows(theta)
-        out = sensors @ shape
+        out = shape.T @ sensors.T
         omega = np.sqrt(np.maximum(value, 0))
         own, slopes = (own, quick.small_slopes) if quick else (whole, d)
         mixed = [_mode_derivatives(own.T @ dk @ own, own.T @ dm @ own, value) for dm, dk in slopes]
@@ -276,13 +281,13 @@ class Engine:
             d_load = np.array([-(whole.T @ (dm @ moved))[:, None] for dm, _ in d]).reshape(n_par, -1, 1)
         else:
             r = np.zeros(n)
-            load = (drives @ shape).T
+            load = shape.T @ drives.T
             high_in = drives @ self.high
             d_load = self._moved(self.inputs, theta, shape, n_par)
         d_out = self._moved(self.outputs, theta, shape, n_par)
         turn = np.moveaxis(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
         return State(
-            theta, omega, shape, out.T, load, d_log, mix, d_load + turn @ load, d_out + turn @ out.T,
+            theta, omega, shape, out, load, d_log, mix, d_load + turn @ load, d_out + turn @ out,
             sensors @ self.high, high_in, r, sensors @ r, sensors, drives,
         )  # fmt: skip
 
@@ -385,7 +390,7 @@ class Engine:
 
     def in_basis(self, state: State) -> NDArray[np.float64]:
         """The modes of a state as motions of the nominal basis, (n_basis + 1, m); the last is that of the base."""
-        share = self.basis.T @ self._nominal_mass @ state.shape
+        share = self._onto_basis @ state.shape
         return np.vstack([share, np.zeros(share.shape[1])])
 
     def inside_taken(self, s: NDArray) -> NDArray[np.complex128]:
@@ -427,6 +432,27 @@ class Engine:
         one = Evaluation(self, replace(point, terms=np.zeros(0)), [], s)
         modal = -(s**2) * one.d * (one.state.shape.T @ held.load[:, axis])[:, None]
         return ((one.state.sensors @ held.static[:, axis])[:, None] + one.state.out.T @ modal) / s**2
+
+    def lift(self, s: NDArray) -> NDArray[np.complex128]:
+        """Factor (n_out, n_in, n_f) from displacement per force (or per base acceleration) to what the channels read;
+        those of the last few lines are remembered.
+        """
+        key = s.tobytes()
+        if key not in self._lifts:
+            if len(self._lifts) > 12:
+                self._lifts.pop(next(iter(self._lifts)))
+            made = (self.sign_out[:, None, None] * s[None, None, :] ** self.rise[:, None, None]) / self.sign_in[:, None]
+            self._lifts[key] = made * s ** (2 - MOTION_ORDER[self.inputs[0].quantity]) if self.is_base else made
+        return self._lifts[key]
+
+    def attached(self, terms: Sequence[Term]) -> Attached:
+        """Where these terms act together, remembered."""
+        key = tuple(id(t) for t in terms)
+        if key not in self._attached:
+            if len(self._attached) > 50:
+                self._attached.pop(next(iter(self._attached)))
+            self._attached[key] = (Attached.of(terms, self.high), tuple(terms))  # held, so that no identity is reused
+        return self._attached[key][0]
 
     def response(
         self, point: Point, terms: Sequence[Term], s: NDArray, *, jacobian: bool = False, modal: bool = False,

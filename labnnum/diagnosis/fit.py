@@ -120,8 +120,16 @@ def _step(problem: Problem, here: Normal, x: NDArray, damping: float) -> NDArray
     if not (np.isfinite(scaled).all() and np.isfinite(here.gradient).all()):
         return step  # a response beyond all numbers leads nowhere
     pick = np.ix_(free, free)
-    step[free] = np.linalg.lstsq(scaled[pick], (here.gradient / d)[free], rcond=1e-13)[0] / d[free]
+    step[free] = _solved(scaled[pick], (here.gradient / d)[free]) / d[free]
     return step / max(1.0, float(np.max(np.abs(step) / problem.reach)))
+
+
+def _solved(matrix: NDArray, rhs: NDArray) -> NDArray:
+    """The solution, or the nearest thing to one where rounding leaves no damped matrix."""
+    try:
+        return np.linalg.solve(matrix, rhs)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(matrix, rhs, rcond=1e-13)[0]
 
 
 def _covariance(hessian: NDArray, problem: Problem, x: NDArray) -> tuple[NDArray, float]:

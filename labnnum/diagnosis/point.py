@@ -59,8 +59,11 @@ class Point:
 
     def with_vector(self, x: NDArray) -> Point:
         """The point that `x` describes, lengths as here."""
-        cuts = np.cumsum([self.theta.size, self.terms.size, self.shift.size, self.log_zeta.size, self.size.size])
-        return Point(*np.split(x, cuts))
+        parts, at = [], 0
+        for part in (self.theta, self.terms, self.shift, self.log_zeta, self.size):
+            parts.append(x[at : at + part.size])
+            at += part.size
+        return Point(*parts, x[at:])
 
 
 @dataclass(frozen=True, eq=False)

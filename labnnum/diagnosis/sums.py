@@ -1,0 +1,260 @@
+"""Compiled sums over modes and lines: what every evaluation of an engine is made of.
+
+Modes are numbered r, responses o, inputs i, motions at which terms act k and lines f, which come last in each array.
+Each function takes contiguous arrays and returns new ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy")
+def receptances(omega, zeta, share, cords, s):  # pragma: no cover - compiled
+    """Receptances (r, f) 1 / (omega^2 + 2 zeta omega rate + cords s + s^2), the rate s, or i omega by `share`."""
+    d = np.empty((omega.size, s.size), np.complex128)
+    for r in range(omega.size):
+        w, loss = omega[r], 2 * zeta[r] * omega[r]
+        first = loss * (1 - share) + cords[r]
+        for f in range(s.size):
+            real, imag = s[f].real, s[f].imag
+            a = w * w + first * real + real * real - imag * imag
+            b = first * imag + loss * share * w + 2 * real * imag
+            size = a * a + b * b
+            d[r, f] = complex(a / size, -b / size)
+    return d
+
+
+@njit(cache=True, error_model="numpy")
+def summed(left, right, d, static, slope, s):  # pragma: no cover - compiled
+    """Sum over modes of left (r, a) d (r, f) right (r, b), and beside it static - slope s^2: (a, b, f)."""
+    out = np.empty((left.shape[1], right.shape[1], s.size), np.complex128)
+    for a in range(left.shape[1]):
+        for b in range(right.shape[1]):
+            one = out[a, b]
+            for f in range(s.size):
+                one[f] = static[a, b] - slope[a, b] * (s[f] * s[f])
+            for r in range(d.shape[0]):
+                size = left[r, a] * right[r, b]
+                if size != 0.0:
+                    for f in range(s.size):
+                        one[f] += size * d[r, f]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def spread(left, d):  # pragma: no cover - compiled
+    """left (r, a) times d (r, f): (r, a, f)."""
+    out = np.empty((left.shape[0], left.shape[1], d.shape[1]), np.complex128)
+    for r in range(left.shape[0]):
+        for a in range(left.shape[1]):
+            for f in range(d.shape[1]):
+                out[r, a, f] = left[r, a] * d[r, f]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def paired(left, right):  # pragma: no cover - compiled
+    """Sum over m of left (m, o, f) and right (n, m, i, f): (n, o, i, f)."""
+    n, m, n_i, n_f = right.shape
+    out = np.zeros((n, left.shape[1], n_i, n_f), np.complex128)
+    for j in range(n):
+        for r in range(m):
+            for o in range(left.shape[1]):
+                for i in range(n_i):
+                    for f in range(n_f):
+                        out[j, o, i, f] += left[r, o, f] * right[j, r, i, f]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def across(a, b):  # pragma: no cover - compiled
+    """Sum over k of a (j, k, f) and b (k, c, f): (j, c, f)."""
+    out = np.zeros((a.shape[0], b.shape[1], a.shape[2]), np.complex128)
+    for j in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            for c in range(b.shape[1]):
+                for f in range(a.shape[2]):
+                    out[j, c, f] += a[j, k, f] * b[k, c, f]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def turned(w, b):  # pragma: no cover - compiled
+    """Sum over m of real w (k, m) and b (m, c, f): (k, c, f)."""
+    out = np.zeros((w.shape[0], b.shape[1], b.shape[2]), np.complex128)
+    for k in range(w.shape[0]):
+        for m in range(w.shape[1]):
+            if w[k, m] != 0.0:
+                for c in range(b.shape[1]):
+                    for f in range(b.shape[2]):
+                        out[k, c, f] += w[k, m] * b[m, c, f]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def solved(a, left, right):  # pragma: no cover - compiled
+    """(I + a) x = [left, right] on each line: a (k, k, f), left (k, i, f), right (o, k, f) as (k, o, f)."""
+    k, n_i, n_o, n_f = a.shape[0], left.shape[1], right.shape[0], a.shape[2]
+    one, two = np.empty((k, n_i, n_f), np.complex128), np.empty((k, n_o, n_f), np.complex128)
+    own, rhs = np.empty((k, k), np.complex128), np.empty((k, n_i + n_o), np.complex128)
+    for f in range(n_f):
+        for i in range(k):
+            own[i] = a[i, :, f]
+            own[i, i] += 1.0
+            rhs[i, :n_i] = left[i, :, f]
+            rhs[i, n_i:] = right[:, i, f]
+        _eliminate(own, rhs)
+        one[:, :, f] = rhs[:, :n_i]
+        two[:, :, f] = rhs[:, n_i:]
+    return one, two
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminate(a, b):  # pragma: no cover - compiled
+    """b becomes the solution x of a x = b, by elimination with the largest pivot of each column."""
+    k = a.shape[0]
+    for p in range(k):
+        best = p
+        for i in range(p + 1, k):
+            if abs(a[i, p]) > abs(a[best, p]):
+                best = i
+        if best != p:
+            for c in range(k):
+                a[p, c], a[best, c] = a[best, c], a[p, c]
+            for c in range(b.shape[1]):
+                b[p, c], b[best, c] = b[best, c], b[p, c]
+        for i in range(p + 1, k):
+            ratio = a[i, p] / a[p, p]
+            for c in range(p + 1, k):
+                a[i, c] -= ratio * a[p, c]
+            for c in range(b.shape[1]):
+                b[i, c] -= ratio * b[p, c]
+    for p in range(k - 1, -1, -1):
+        for c in range(b.shape[1]):
+            total = b[p, c]
+            for j in range(p + 1, k):
+                total -= a[p, j] * b[j, c]
+            b[p, c] = total / a[p, p]
+
+
+@njit(cache=True, error_model="numpy")
+def followed(q, d, w, met, own):  # pragma: no cover - compiled
+    """q (r, c, f) and what each mode follows of `met` (k, c, f) through w (k, r), less `own` (r,) of it."""
+    out = np.empty_like(q)
+    push = np.empty(q.shape[2], np.complex128)
+    for r in range(q.shape[0]):
+        for c in range(q.shape[1]):
+            for f in range(push.size):
+                push[f] = -own[r] * q[r, c, f]
+            for k in range(w.shape[0]):
+                if w[k, r] != 0.0:
+                    for f in range(push.size):
+                        push[f] += w[k, r] * met[k, c, f]
+            for f in range(push.size):
+                out[r, c, f] = q[r, c, f] + d[r, f] * push[f]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def state_slopes(stiffer, q, p, d_log, d_load, d_out):  # pragma: no cover - compiled
+    """Displacements (n, o, i, f) by each of n parameters of the structure, what terms add left aside.
+
+    `stiffer` (r, f) is what a relative change of its frequency adds to a mode's dynamic stiffness; derivatives as in
+    `point.State`; q (r, i, f) and p (r, o, f) are the modes' responses to the inputs and by which the outputs follow.
+    """
+    n, (n_r, n_i, n_f), n_o = d_log.shape[0], q.shape, p.shape[1]
+    out = np.zeros((n, n_o, n_i, n_f), np.complex128)
+    push = np.empty(n_f, np.complex128)
+    for j in range(n):
+        for r in range(n_r):
+            for i in range(n_i):
+                for f in range(n_f):
+                    push[f] = d_load[j, r, i] - d_log[j, r] * stiffer[r, f] * q[r, i, f]
+                for o in range(n_o):
+                    for f in range(n_f):
+                        out[j, o, i, f] += p[r, o, f] * push[f] + d_out[j, r, o] * q[r, i, f]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def mode_slopes(factors, q, p, band, out):  # pragma: no cover - compiled
+    """Into out (n, o, i, f): -factors (r, f) p q of each band mode."""
+    for j in range(band.size):
+        r = band[j]
+        for o in range(p.shape[1]):
+            for i in range(q.shape[1]):
+                for f in range(q.shape[2]):
+                    out[j, o, i, f] = -factors[r, f] * p[r, o, f] * q[r, i, f]
+
+
+@njit(cache=True, error_model="numpy")
+def weighed(factors, q, p):  # pragma: no cover - compiled
+    """Sum over modes of factors (r, f) p (r, o, f) q (r, i, f): (o, i, f)."""
+    out = np.zeros((p.shape[1], q.shape[1], q.shape[2]), np.complex128)
+    for r in range(p.shape[0]):
+        for i in range(q.shape[1]):
+            for f in range(q.shape[2]):
+                here = factors[r, f] * q[r, i, f]
+                for o in range(p.shape[1]):
+                    out[o, i, f] += p[r, o, f] * here
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def put(columns, values, factor):  # pragma: no cover - compiled
+    """Into columns (n, o i, 2 f): real and imaginary parts of values (n, o, i, f) times factor (o, i, f).
+
+    Either may have one response or input only, which then stands for all.
+    """
+    n_f = values.shape[3]
+    n_o, n_i = max(values.shape[1], factor.shape[0]), max(values.shape[2], factor.shape[1])
+    for n in range(values.shape[0]):
+        for o in range(n_o):
+            for i in range(n_i):
+                one = values[n, min(o, values.shape[1] - 1), min(i, values.shape[2] - 1)]
+                two = factor[min(o, factor.shape[0] - 1), min(i, factor.shape[1] - 1)]
+                row = columns[n, o * n_i + i]
+                for f in range(n_f):
+                    z = one[f] * two[f]
+                    row[f] = z.real
+                    row[n_f + f] = z.imag
+
+
+@njit(cache=True, error_model="numpy")
+def eliminated(gram, n):  # pragma: no cover - compiled
+    """First n rows (rows, n, a) of the Cholesky factor U of each Gram matrix (rows, a, a) = U'U, one added to the first
+    n diagonals: unknowns of deviation one, so that pivots are one at least beside rounding.
+    """
+    rows, a = gram.shape[0], gram.shape[1]
+    out = np.zeros((rows, n, a))
+    for row in range(rows):
+        for j in range(n):
+            own = out[row, j]
+            for i in range(j, a):
+                own[i] = gram[row, j, i]
+            for k in range(j):
+                above = out[row, k]
+                size = above[j]
+                for i in range(j, a):
+                    own[i] -= size * above[i]
+            pivot = np.sqrt(max(own[j] + 1.0, 1.0))
+            own[j] = pivot
+            for i in range(j + 1, a):
+                own[i] /= pivot
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def forward(factor, b):  # pragma: no cover - compiled
+    """U'^-1 b of the upper factors (rows, n, a) and the first n of b (rows, a): (rows, n)."""
+    rows, n = factor.shape[0], factor.shape[1]
+    out = np.empty((rows, n))
+    out[:] = b[:, :n]
+    for row in range(rows):
+        for j in range(n):
+            out[row, j] /= factor[row, j, j]
+            for i in range(j + 1, n):
+                out[row, i] -= factor[row, j, i] * out[row, j]
+    return out
