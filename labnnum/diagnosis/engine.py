@@ -245,47 +245,49 @@ class Engine:
         return np.real(self.structure.matrices(self.theta0).M)
 
     def _state(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> State:
-        from scipy.linalg import LinAlgError, eigh
-
-        v = self.basis
-        n = len(v)
-        made = self._changed(theta, changes)
-        mass, stiffness, d = made.mass, made.stiffness, made.slopes
+        v, n = self.basis, len(self.basis)
         quick = self._affine if not changes else None
-        try:
-            if changes:  # they bend the elements themselves, which the nominal low modes do not span
-                value, own = eigh(stiffness, mass, subset_by_index=[0, v.shape[1] - 1])
-            else:
-                small = quick.reduced(theta) if quick else (v.T @ mass @ v, v.T @ stiffness @ v)
-                value, own = eigh(small[1], small[0])
-        except LinAlgError:
-            raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}") from None
-        shape = own[:n] + made.static @ own[n:] if changes else v @ own
+        made = None if quick and not self.is_base else self._changed(theta, changes)
+        if quick:
+            value, own = _eigen(*quick.reduced(theta), theta)
+            shape = v @ own
+        elif changes:  # they bend the elements themselves, which the nominal low modes do not span
+            assert made is not None
+            value, own = _eigen(made.mass, made.stiffness, theta, v.shape[1])
+            shape = own[:n] + made.static @ own[n:]
+        else:
+            assert made is not None
+            value, own = _eigen(v.T @ made.mass @ v, v.T @ made.stiffness @ v, theta)
+            shape = v @ own
         turned = self._turned(shape)
         own, shape = own * turned, shape * turned
         whole = own if changes else shape
         sensors, drives = self._rows(theta)
         out = shape.T @ sensors.T
         omega = np.sqrt(np.maximum(value, 0))
-        own, slopes = (own, quick.small_slopes) if quick else (whole, d)
-        mixed = [_mode_derivatives(own.T @ dk @ own, own.T @ dm @ own, value) for dm, dk in slopes]
-        d_log = np.array([a for a, _ in mixed]).reshape(len(d), omega.size)
-        mix = np.array([b for _, b in mixed]).reshape(len(d), omega.size, omega.size)
-        n_par = len(d)
+        if quick:
+            around, slopes = own, quick.small_slopes
+        else:
+            assert made is not None
+            around = whole
+            slopes = [np.array([np.real(pair[i]) for pair in made.slopes]).reshape(-1, *made.mass.shape) for i in (0, 1)]
+        n_par = len(slopes[0])
+        d_log, mix = _mode_derivatives(*(around.T @ d @ around for d in slopes), value)
         if self.is_base:
+            assert made is not None
             r = np.real(self.structure.rigid(theta))
-            moved = np.pad(r, (0, len(mass) - n))
-            pushed = mass @ moved + np.concatenate([self.held_load, made.own_load])
+            moved = np.pad(r, (0, len(made.mass) - n))
+            pushed = made.mass @ moved + np.concatenate([self.held_load, made.own_load])
             load = -(whole.T @ pushed)[:, None]
             high_in = -(pushed[:n] @ self.high)[None]
-            d_load = np.array([-(whole.T @ (dm @ moved))[:, None] for dm, _ in d]).reshape(n_par, -1, 1)
+            d_load = np.array([-(whole.T @ (dm @ moved))[:, None] for dm, _ in made.slopes]).reshape(n_par, -1, 1)
         else:
             r = np.zeros(n)
             load = shape.T @ drives.T
             high_in = drives @ self.high
             d_load = self._moved(self.inputs, theta, shape, n_par)
         d_out = self._moved(self.outputs, theta, shape, n_par)
-        turn = np.moveaxis(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
+        turn = np.swapaxes(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
         return State(
             theta, omega, shape, out, load, d_log, mix, d_load + turn @ load, d_out + turn @ out,
             sensors @ self.high, high_in, r, sensors @ r, sensors, drives,
@@ -462,16 +464,37 @@ class Engine:
         return Evaluation(self, point, terms, s).run(jacobian, modal or jacobian, common)
 
 
-def _mode_derivatives(stiff: NDArray, mass: NDArray, value: NDArray) -> tuple[NDArray, NDArray]:
-    """Derivatives of log frequency (m,), and of shapes as a mix of shapes (m, m): d shape = shape @ mix.
+def _eigen(
+    mass: NDArray, stiffness: NDArray, theta: NDArray, n: int | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eigenvalues and vectors, of all modes or the first n."""
+    from scipy.linalg import LinAlgError, eigh
+    from scipy.linalg.lapack import dsygvd
+
+    failed = 0
+    try:
+        if n is None:  # the routine that `eigh` calls, which spends as long again on what it is given
+            value, own, failed = dsygvd(stiffness, mass)
+        else:
+            value, own = eigh(stiffness, mass, subset_by_index=[0, n - 1])
+    except LinAlgError:
+        failed = 1
+    if failed:
+        raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}")
+    return value, own  # pyright: ignore[reportPossiblyUnbound]
+
+
+def _mode_derivatives(mass: NDArray, stiff: NDArray, value: NDArray) -> tuple[NDArray, NDArray]:
+    """Derivatives of log frequency (n_par, m), and of shapes as a mix of shapes (n_par, m, m): d shape = shape @ mix.
 
     Fox and Kapoor (1968), equations 8 and 14. Between modes closer than rounding the mix is left out: it turns the
     pair within its own plane.
     """
-    safe = np.maximum(value, 1e-10 * value.max())
-    d_log = np.where(value > 1e-10 * value.max(), (np.diag(stiff) - value * np.diag(mass)) / (2 * safe), 0.0)
+    most, at = value.max(), np.arange(value.size)
+    heavy, firm = mass[:, at, at], stiff[:, at, at]
+    d_log = np.where(value > 1e-10 * most, (firm - value * heavy) / (2 * np.maximum(value, 1e-10 * most)), 0.0)
     gap = value[None, :] - value[:, None]  # lambda_r - lambda_s for column r, row s
-    apart = np.abs(gap) > 1e-9 * np.maximum(np.abs(value[None, :]), 1e-3 * value.max())
+    apart = np.abs(gap) > 1e-9 * np.maximum(np.abs(value[None, :]), 1e-3 * most)
     mix = np.where(apart, (stiff - value[None, :] * mass) / np.where(apart, gap, 1.0), 0.0)
-    np.fill_diagonal(mix, -np.diag(mass) / 2)
+    mix[:, at, at] = -heavy / 2
     return d_log, mix

@@ -120,33 +120,36 @@ class Evaluation:
     # where they are, since their offsets hold what the mesh moves them by.
 
     @cached_property
-    def _met(self) -> tuple[NDArray, NDArray, NDArray]:
-        """Motions of the basis, (k, m) by mode, what the inside takes off the forces there, (k, i, f), and by how much
-        the outputs follow it, (k, o, f).
-        """
-        e, (q, _, p_out, _, _) = self.e, self._coupled
+    def _pushed(self) -> NDArray:
+        """Modal forces (m, i, f) of what the inside takes off the dynamic stiffness."""
+        e, q = self.e, self._coupled[0]
         w = e.in_basis(self.state)
-        met = sums.turned(w, q)
+        met = sums.turned(w, q)  # motions of the basis
         if e.is_base:
             met[-1] += 1.0 / self.s**2
-        return w, sums.across(e.inside_taken(self.s), met), sums.turned(w, p_out)
+        return sums.turned(w.T, sums.across(e.inside_taken(self.s), met)) - self._own_all * q
 
     @cached_property
     def _refined_value(self) -> NDArray:
         """Displacements (o, i, f)."""
-        (q, x, p_out, _, _), (_, met, seen), b = self._coupled, self._met, self.e.band_modes
-        own = np.broadcast_to(self._own()[:, None], (b.size, self.s.size)).astype(complex)
-        whole = sums.across(np.ascontiguousarray(np.swapaxes(seen, 0, 1)), met)
-        return x + whole - sums.weighed(own, q[b], p_out[b])
+        _, x, p_out, _, _ = self._coupled
+        return x + sums.paired(p_out, self._pushed[None])[0]
 
     @cached_property
     def _refined(self) -> tuple[NDArray, NDArray]:
         """Motions of the modes by the inputs (m, i, f) and by which the outputs follow them (m, o, f)."""
-        (q, _, p_out, _, _), (w, met, seen) = self._coupled, self._met
-        own = np.zeros(self.omega.size)
-        own[self.e.band_modes] = self._own()
-        pulled = sums.across(self.e.inside_taken(self.s), seen)
-        return sums.followed(q, self.d, w, met, own), sums.followed(p_out, self.d, w, pulled, own)
+        q, _, p_out, _, _ = self._coupled
+        w, d = self.e.in_basis(self.state), self.d[:, None]
+        taken = sums.across(self.e.inside_taken(self.s), sums.turned(w, p_out))
+        pulled = sums.turned(w.T, taken) - self._own_all * p_out
+        return q + d * self._pushed, p_out + d * pulled
+
+    @property
+    def _own_all(self) -> NDArray[np.float64]:
+        """`_own` of every mode, (m, 1, 1), nothing for those beside the band."""
+        own = np.zeros((self.omega.size, 1, 1))
+        own[self.e.band_modes, 0, 0] = self._own()
+        return own
 
     def _own(self) -> NDArray[np.float64]:
         """So much of what the inside takes off each band mode's dynamic stiffness moves its frequency, (m_b,)."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis import sums
 from labnnum.mechanisms.base import TRANSLATIONS
 from labnnum.mechanisms.geometry import element_stiffness, factors
 
@@ -125,17 +126,18 @@ class Irregular:
         loss = 2 * float(np.exp(np.mean(one.point.log_zeta))) * ((1 - h) * s / middle + 1j * h)
         every, moved = self.couplings(one)
         kinds = np.array(self.kinds)
-        out = np.zeros((common.shape[1], p_out.shape[1], q.shape[1], s.size), complex)
+        turned = np.swapaxes(q, 0, 1).copy().reshape(q.shape[1], len(q), -1)
+        pushed = np.zeros((common.shape[1], len(q), q.shape[1], s.size), complex)
         for pick, factor in (
-            (kinds == "stiffness", np.ones_like(s)),
+            (kinds == "stiffness", None),
             ((kinds == "loss") | (kinds == "zone"), loss),
             (kinds == "mass", s**2),
         ):
-            if not pick.any():
-                continue
-            mixed = np.tensordot(common[pick].T, every[pick], 1)  # (k, m, m)
-            pushed = np.tensordot(mixed, q, 1)  # (k, m, i, f)
-            out -= np.einsum("mof,kmif->koif", p_out, pushed, optimize=True) * factor
+            if pick.any():
+                mixed = np.tensordot(common[pick].T, every[pick], 1)  # (k, m, m)
+                for i, motion in enumerate(turned):
+                    pushed[:, :, i] += mixed @ (motion if factor is None else motion * factor)
+        out = -sums.paired(p_out, pushed)
         if self.first.size and e.is_base:
             w = self.masses.T @ st.shape
             carried = np.add.reduceat(w * (self.masses.T @ st.rigid)[:, None], self.first, axis=0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 
 @njit(cache=True, error_model="numpy")
@@ -80,17 +81,9 @@ def across(a, b):  # pragma: no cover - compiled
     return out
 
 
-@njit(cache=True, error_model="numpy")
-def turned(w, b):  # pragma: no cover - compiled
-    """Sum over m of real w (k, m) and b (m, c, f): (k, c, f)."""
-    out = np.zeros((w.shape[0], b.shape[1], b.shape[2]), np.complex128)
-    for k in range(w.shape[0]):
-        for m in range(w.shape[1]):
-            if w[k, m] != 0.0:
-                for c in range(b.shape[1]):
-                    for f in range(b.shape[2]):
-                        out[k, c, f] += w[k, m] * b[m, c, f]
-    return out
+def turned(w: NDArray, b: NDArray) -> NDArray[np.complex128]:
+    """Sum over m of real w (k, m) and b (m, c, f): (k, c, f), as one real product."""
+    return (w @ b.reshape(len(b), -1).view(np.float64)).view(np.complex128).reshape(len(w), *b.shape[1:])
 
 
 @njit(cache=True, error_model="numpy")
@@ -137,24 +130,6 @@ def _eliminate(a, b):  # pragma: no cover - compiled
             for j in range(p + 1, k):
                 total -= a[p, j] * b[j, c]
             b[p, c] = total / a[p, p]
-
-
-@njit(cache=True, error_model="numpy")
-def followed(q, d, w, met, own):  # pragma: no cover - compiled
-    """q (r, c, f) and what each mode follows of `met` (k, c, f) through w (k, r), less `own` (r,) of it."""
-    out = np.empty_like(q)
-    push = np.empty(q.shape[2], np.complex128)
-    for r in range(q.shape[0]):
-        for c in range(q.shape[1]):
-            for f in range(push.size):
-                push[f] = -own[r] * q[r, c, f]
-            for k in range(w.shape[0]):
-                if w[k, r] != 0.0:
-                    for f in range(push.size):
-                        push[f] += w[k, r] * met[k, c, f]
-            for f in range(push.size):
-                out[r, c, f] = q[r, c, f] + d[r, f] * push[f]
-    return out
 
 
 @njit(cache=True, error_model="numpy")
