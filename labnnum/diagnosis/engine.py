@@ -76,6 +76,7 @@ class Engine:
         self._cache: dict[tuple, State] = {}
         self._seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
         self._share: tuple[tuple, NDArray[np.complex128]] | None = None
+        self._evaluated: tuple[tuple, Evaluation, tuple[Term, ...]] | None = None
         self._taken: dict[bytes, NDArray[np.complex128]] = {}
         self._lifts: dict[bytes, NDArray[np.complex128]] = {}
         self._attached: dict[tuple[int, ...], tuple[Attached, tuple[Term, ...]]] = {}
@@ -455,6 +456,13 @@ class Engine:
                 self._attached.pop(next(iter(self._attached)))
             self._attached[key] = (Attached.of(terms, self.high), tuple(terms))  # held, so that no identity is reused
         return self._attached[key][0]
+
+    def evaluation(self, point: Point, terms: Sequence[Term], s: NDArray) -> Evaluation:
+        """What responses at a point are made of; that of the last point is remembered."""
+        key = (point.vector().tobytes(), tuple(id(t) for t in terms), s.tobytes())
+        if self._evaluated is None or self._evaluated[0] != key:
+            self._evaluated = (key, Evaluation(self, point, terms, s), tuple(terms))
+        return self._evaluated[1]
 
     def response(
         self, point: Point, terms: Sequence[Term], s: NDArray, *, jacobian: bool = False, modal: bool = False,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate
@@ -34,25 +35,18 @@ class Evaluation:
         self.changes = [(t.whole, c) for t, c in self.others if t.whole is not None]
         self.state = engine.state(point.theta, [(w, point.terms[c]) for w, c in self.changes])
         self.change = point.theta - engine.theta0
+        self.rises: NDArray | None = None
         self._modes()
         self._points()
 
     def _modes(self) -> None:
-        e, st, b = self.e, self.state, self.e.band_modes
-        omega = st.omega.copy()
-        omega[b] *= 1 + self.point.shift
-        zeta = e.zeta0[: omega.size].copy()
-        common = np.mean(self.point.log_zeta - np.log(zeta[b]))
+        e, st, point = self.e, self.state, self.point
         self.outside = e.outside_modes
-        zeta[self.outside] = np.minimum(zeta[self.outside] * np.exp(common), 0.95)  # a guess follows the fitted ones
-        zeta[b] = np.exp(self.point.log_zeta)
-        self.omega, self.zeta = omega, zeta
-        cords = np.zeros(omega.size)
-        if e.n_law == 2:  # what holds a free body, cords or a spring, has some loss
-            cords[: e.rigid_modes] = float(self.point.law[1]) * e.elastic
-        self.d = sums.receptances(omega, zeta, float(self.point.law[0]), cords, self.s)
+        cords = float(point.law[1]) * e.elastic if e.n_law == 2 else 0.0  # what holds a free body has some loss
+        self.omega, self.zeta = sums.placed(st.omega, e.zeta0, e.band_modes, self.outside, point.shift, point.log_zeta)
+        self.d = sums.receptances(self.omega, self.zeta, float(point.law[0]), cords, e.rigid_modes, self.s)
         self.load = st.load.copy()
-        self.load[b] += (self.point.size * e.load_typical)[:, None]
+        self.load[e.band_modes] += (point.size * e.load_typical)[:, None]
 
     def _points(self) -> None:
         """Attachment motions of all acting terms."""
@@ -65,11 +59,19 @@ class Evaluation:
         self.g = np.zeros((len(self.w), len(self.w), s.size), complex)
         for t, c, first, last in self._acting_columns():
             self.g[first:last, first:last] = t.stiffness(s, self.point.terms[c], self.change)
-        self.rises = None
         if self.there.carrying.any():
             self.rises = np.where(self.there.carrying[:, None], s**2, 1.0)
             self.out_carried = st.sensors @ self.there.static  # (o, k)
             self.in_carried = -self.there.own_load[:, None] if e.is_base else (st.drives @ self.there.static).T
+
+    def joined(self, term: Term) -> Evaluation:
+        """The same with one more acting term, its parameters zero, for `ingredients`."""
+        made = copy(self)
+        made.point = replace(self.point, terms=np.concatenate([self.point.terms, np.zeros(term.n)]))
+        made.acting = [*self.acting, (term, slice(self.n_terms, self.n_terms + term.n))]
+        made.n_terms += term.n
+        made._points()
+        return made
 
     def _summed(self, left: NDArray, right: NDArray, high_left: NDArray, high_right: NDArray) -> NDArray:
         """Displacements (l, r, n_f) by participations (m, l) and (m, r) of the modes, those above the basis, whose
@@ -371,35 +373,32 @@ class Evaluation:
         rises = 1.0 if self.rises is None else self.rises[:, None]
         force = rises * sums.across(self.g, z_in)
         pulled = np.ascontiguousarray(np.swapaxes(z_out, 0, 1))
-        back = np.swapaxes(sums.across(pulled, self.g), 0, 1) * rises  # (k, o, f)
-        back = np.ascontiguousarray(np.swapaxes(back, 0, 1))
-        seen = np.swapaxes(p_out, 0, 1)
-        for j, slot in enumerate(slots):
-            turned = self.w @ st.mix[j]  # derivative of the terms' motions, (k, m)
-            if turned.any():
-                follow = np.ascontiguousarray(np.swapaxes(sums.turned(turned, p_out), 0, 1))  # (o, k, f)
-                jac[slot] -= sums.across(follow, force) + sums.across(back, sums.turned(turned, q))
-            for term, c, first, last in self._acting_columns() if j < n_t else ():
+        back = rises * np.swapaxes(sums.across(pulled, self.g), 0, 1)  # (k, o, f)
+        k = len(self.w)
+        turned = (self.w @ st.mix[:n]).reshape(n * k, -1)  # derivatives of the terms' motions
+        if turned.any():
+            follow, moved = sums.turned(turned, p_out), sums.turned(turned, q)
+            for j, slot in enumerate(slots):
+                own = slice(j * k, (j + 1) * k)
+                jac[slot] -= sums.paired(follow[own], force[None])[0] + sums.paired(back, moved[None, own])[0]
+        for j in range(n_t):
+            for term, c, first, last in self._acting_columns():
                 slope = term.stiffness_slope(self.s, self.point.terms[c], self.change, j)
                 if slope is not None:
                     own = np.ascontiguousarray(pulled[:, first:last])
-                    jac[slot] -= sums.across(own, sums.across(slope, z_in[first:last]))
+                    jac[j] -= sums.across(own, sums.across(slope, z_in[first:last]))
 
     def _mode_slopes(self, out: NDArray, q: NDArray, p_out: NDArray) -> None:
         """Derivatives to the modes' frequency offsets, damping and loads, and to the law of damping."""
-        e, b, m_b, o = self.e, self.e.band_modes, self.e.band_modes.size, self.outside
+        e, b, m_b = self.e, self.e.band_modes, self.e.band_modes.size
         damped, stiffer = self._rates
-        sums.mode_slopes(stiffer, q, p_out, b, out[:m_b])
-        out[:m_b] /= (1 + self.point.shift)[:, None, None, None]
-        sums.mode_slopes(damped, q, p_out, b, out[m_b : 2 * m_b])
-        out[m_b : 2 * m_b] -= sums.weighed(damped[o], q[o], p_out[o]) / m_b
-        out[2 * m_b : 3 * m_b] = p_out[b][:, :, None, :] * e.load_typical[:, None, None, None]
+        sums.mode_slopes(stiffer, damped, q, p_out, b, self.outside, 1 + self.point.shift, e.load_typical, out)
         swing = 2 * (self.zeta * self.omega)[:, None] * (1j * self.omega[:, None] - self.s)
-        out[3 * m_b] = -sums.weighed(swing, q, p_out)
+        sums.weighed(-swing, q, p_out, out[3 * m_b])
         if e.n_law == 2:
             n = e.rigid_modes
-            lost = np.broadcast_to(e.elastic * self.s, (n, self.s.size)).copy()
-            out[-1] = -sums.weighed(lost, q[:n], p_out[:n])
+            lost = np.broadcast_to(-e.elastic * self.s, (n, self.s.size)).copy()
+            sums.weighed(lost, q[:n], p_out[:n], out[-1])
 
 
 def _slices(terms: Sequence[Term]) -> list[slice]:
@@ -441,19 +440,17 @@ def sweep(
         both = np.concatenate([point.terms, np.asarray(p, float)])
         return replace(point, terms=both)
 
-    k = term.columns.shape[1] if term.groups else 0
+    k = term.width
     if k == 0:
         return np.stack([_or_nothing(engine, at(p), terms, s) for p in starts])
-    one = Evaluation(engine, at(np.zeros(term.n)), terms, s)
+    one = engine.evaluation(point, held, s).joined(term)
     x, h, z, gw = one.ingredients(k)
     g = engine.grid(term, starts, s)  # (n, k, k, f)
     if k == 1:
-        factor = -g[:, 0, 0] / (1 + gw[0, 0] * g[:, 0, 0])
-        change = factor[:, None, None, :] * (h[:, 0][:, None, :] * z[0][None])[None]
+        force = (-g[:, 0, 0] / (1 + gw[0, 0] * g[:, 0, 0]))[:, None, None] * z  # (n, k, i, f)
     else:
         loop = np.matmul(np.moveaxis(gw, 2, 0), np.moveaxis(g, 3, 1)) + np.eye(k)  # (n, f, k, k)
         motion = np.linalg.solve(loop, np.broadcast_to(np.moveaxis(z, 2, 0), (*loop.shape[:3], z.shape[1])))
-        force = np.moveaxis(np.matmul(np.moveaxis(g, 3, 1), motion), 1, 3)  # (n, k, i, f)
-        change = -sum(h[:, c][None, :, None] * force[:, c][:, None] for c in range(k))
-    value = one.to_channels(x[None] + change)
+        force = -np.moveaxis(np.matmul(np.moveaxis(g, 3, 1), motion), 1, 3)
+    value = one.to_channels(sums.forced(x, np.ascontiguousarray(h), np.ascontiguousarray(force)))
     return value + engine.mesh_share(point, held, s, one.to_channels(x[None])[0]) if engine.finer else value

@@ -159,6 +159,12 @@ class Problem:
             self._last = (key, Evaluation(self.engine, self.start.with_vector(x), self.terms, self.data.s))
         return self._last[1]
 
+    def whitened(self, value: NDArray) -> NDArray[np.float64]:
+        """Complex (n, o, i, f) over sigma as real (n, rows, 2 f)."""
+        out = np.empty((len(value), value[0, ..., 0].size, 2 * value.shape[-1]))
+        _put(out, value, self._weight)
+        return out
+
     def _residuals(self, value: NDArray) -> NDArray[np.float64]:
         """Data minus `value`, whitened, (rows, 2 f)."""
         r = (self.data.value - value) * self._weight

@@ -12,12 +12,30 @@ from numpy.typing import NDArray
 
 
 @njit(cache=True, error_model="numpy")
-def receptances(omega, zeta, share, cords, s):  # pragma: no cover - compiled
-    """Receptances (r, f) 1 / (omega^2 + 2 zeta omega rate + cords s + s^2), the rate s, or i omega by `share`."""
+def placed(omega, zeta, band, outside, shift, log_zeta):  # pragma: no cover - compiled
+    """Frequencies and damping ratios of all modes, those in the band offset by `shift` and damped as fitted; what is
+    guessed of the others' damping follows.
+    """
+    w, z = omega.copy(), zeta[: omega.size].copy()
+    common = 0.0
+    for j in range(band.size):
+        w[band[j]] *= 1 + shift[j]
+        common += log_zeta[j] - np.log(z[band[j]])
+        z[band[j]] = np.exp(log_zeta[j])
+    for r in outside:
+        z[r] = min(z[r] * np.exp(common / band.size), 0.95)
+    return w, z
+
+
+@njit(cache=True, error_model="numpy")
+def receptances(omega, zeta, share, cords, rigid, s):  # pragma: no cover - compiled
+    """Receptances (r, f) 1 / (omega^2 + 2 zeta omega rate + s^2), the rate s, or i omega by `share`; `cords` s more on
+    the first `rigid` modes.
+    """
     d = np.empty((omega.size, s.size), np.complex128)
     for r in range(omega.size):
         w, loss = omega[r], 2 * zeta[r] * omega[r]
-        first = loss * (1 - share) + cords[r]
+        first = loss * (1 - share) + (cords if r < rigid else 0.0)
         for f in range(s.size):
             real, imag = s[f].real, s[f].imag
             a = w * w + first * real + real * real - imag * imag
@@ -154,26 +172,55 @@ def state_slopes(stiffer, q, p, d_log, d_load, d_out):  # pragma: no cover - com
 
 
 @njit(cache=True, error_model="numpy")
-def mode_slopes(factors, q, p, band, out):  # pragma: no cover - compiled
-    """Into out (n, o, i, f): -factors (r, f) p q of each band mode."""
-    for j in range(band.size):
+def mode_slopes(stiffer, damped, q, p, band, outside, over, load, out):  # pragma: no cover - compiled
+    """Into out (n, o, i, f): derivatives by the frequency offset of each band mode, by its damping, which the others'
+    follows, and by its load.
+
+    `stiffer` and `damped` (r, f) are what relative changes of frequency and damping add to each mode's dynamic
+    stiffness, `over` (b,) that by which frequencies are offset and `load` (b,) the typical loads.
+    """
+    n_b, n_o, n_i, n_f = band.size, p.shape[1], q.shape[1], q.shape[2]
+    shared = np.zeros((n_o, n_i, n_f), np.complex128)
+    for r in outside:
+        for i in range(n_i):
+            for o in range(n_o):
+                for f in range(n_f):
+                    shared[o, i, f] += damped[r, f] * q[r, i, f] * p[r, o, f]
+    for j in range(n_b):
         r = band[j]
-        for o in range(p.shape[1]):
-            for i in range(q.shape[1]):
-                for f in range(q.shape[2]):
-                    out[j, o, i, f] = -factors[r, f] * p[r, o, f] * q[r, i, f]
+        for o in range(n_o):
+            for i in range(n_i):
+                for f in range(n_f):
+                    pair = p[r, o, f] * q[r, i, f]
+                    out[j, o, i, f] = -stiffer[r, f] * pair / over[j]
+                    out[n_b + j, o, i, f] = -damped[r, f] * pair - shared[o, i, f] / n_b
+                    out[2 * n_b + j, o, i, f] = p[r, o, f] * load[j]
 
 
 @njit(cache=True, error_model="numpy")
-def weighed(factors, q, p):  # pragma: no cover - compiled
-    """Sum over modes of factors (r, f) p (r, o, f) q (r, i, f): (o, i, f)."""
-    out = np.zeros((p.shape[1], q.shape[1], q.shape[2]), np.complex128)
+def weighed(factors, q, p, out):  # pragma: no cover - compiled
+    """Into out (o, i, f): sum over modes of factors (r, f) p (r, o, f) q (r, i, f)."""
+    out[:] = 0.0
     for r in range(p.shape[0]):
         for i in range(q.shape[1]):
-            for f in range(q.shape[2]):
-                here = factors[r, f] * q[r, i, f]
-                for o in range(p.shape[1]):
-                    out[o, i, f] += p[r, o, f] * here
+            for o in range(p.shape[1]):
+                for f in range(q.shape[2]):
+                    out[o, i, f] += p[r, o, f] * (factors[r, f] * q[r, i, f])
+
+
+@njit(cache=True, error_model="numpy")
+def forced(x, h, force):  # pragma: no cover - compiled
+    """x (o, i, f) and what each of n forces (n, k, i, f) adds through h (o, k, f): (n, o, i, f)."""
+    n, n_k, n_i, n_f = force.shape
+    out = np.empty((n, x.shape[0], n_i, n_f), np.complex128)
+    for j in range(n):
+        for o in range(x.shape[0]):
+            for i in range(n_i):
+                one = out[j, o, i]
+                one[:] = x[o, i]
+                for k in range(n_k):
+                    for f in range(n_f):
+                        one[f] += h[o, k, f] * force[j, k, i, f]
     return out
 
 
