@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis import sums
 from labnnum.diagnosis.affine import affine
 from labnnum.diagnosis.attached import Attached
 from labnnum.diagnosis.evaluation import Evaluation
@@ -273,7 +274,7 @@ class Engine:
             around = whole
             slopes = [np.array([np.real(pair[i]) for pair in made.slopes]).reshape(-1, *made.mass.shape) for i in (0, 1)]
         n_par = len(slopes[0])
-        d_log, mix = _mode_derivatives(*(around.T @ d @ around for d in slopes), value)
+        d_log, mix = sums.mode_derivatives(*slopes, np.ascontiguousarray(around), value)
         if self.is_base:
             assert made is not None
             r = np.real(self.structure.rigid(theta))
@@ -490,19 +491,3 @@ def _eigen(
     if failed:
         raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}")
     return value, own  # pyright: ignore[reportPossiblyUnbound]
-
-
-def _mode_derivatives(mass: NDArray, stiff: NDArray, value: NDArray) -> tuple[NDArray, NDArray]:
-    """Derivatives of log frequency (n_par, m), and of shapes as a mix of shapes (n_par, m, m): d shape = shape @ mix.
-
-    Fox and Kapoor (1968), equations 8 and 14. Between modes closer than rounding the mix is left out: it turns the
-    pair within its own plane.
-    """
-    most, at = value.max(), np.arange(value.size)
-    heavy, firm = mass[:, at, at], stiff[:, at, at]
-    d_log = np.where(value > 1e-10 * most, (firm - value * heavy) / (2 * np.maximum(value, 1e-10 * most)), 0.0)
-    gap = value[None, :] - value[:, None]  # lambda_r - lambda_s for column r, row s
-    apart = np.abs(gap) > 1e-9 * np.maximum(np.abs(value[None, :]), 1e-3 * most)
-    mix = np.where(apart, (stiff - value[None, :] * mass) / np.where(apart, gap, 1.0), 0.0)
-    mix[:, at, at] = -heavy / 2
-    return d_log, mix

@@ -66,6 +66,7 @@ class Evaluation:
 
     def joined(self, term: Term) -> Evaluation:
         """The same with one more acting term, its parameters zero, for `ingredients`."""
+        assert self._bare is not None  # which the two then share
         made = copy(self)
         made.point = replace(self.point, terms=np.concatenate([self.point.terms, np.zeros(term.n)]))
         made.acting = [*self.acting, (term, slice(self.n_terms, self.n_terms + term.n))]

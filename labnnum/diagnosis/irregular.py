@@ -125,18 +125,18 @@ class Irregular:
         middle = float(np.exp(np.mean(np.log(np.maximum(one.omega[e.band_modes], 1e-300)))))
         loss = 2 * float(np.exp(np.mean(one.point.log_zeta))) * ((1 - h) * s / middle + 1j * h)
         every, moved = self.couplings(one)
-        kinds = np.array(self.kinds)
-        turned = np.swapaxes(q, 0, 1).copy().reshape(q.shape[1], len(q), -1)
-        pushed = np.zeros((common.shape[1], len(q), q.shape[1], s.size), complex)
+        kinds, m = np.array(self.kinds), len(q)
+        turned = np.ascontiguousarray(np.swapaxes(q, 0, 1))  # (i, m, f)
+        pushed = np.zeros((common.shape[1], m, q.shape[1], s.size), complex)
         for pick, factor in (
-            (kinds == "stiffness", None),
+            (kinds == "stiffness", np.ones_like(s)),
             ((kinds == "loss") | (kinds == "zone"), loss),
             (kinds == "mass", s**2),
         ):
             if pick.any():
-                mixed = np.tensordot(common[pick].T, every[pick], 1)  # (k, m, m)
+                mixed = (common[pick].T @ every[pick].reshape(-1, m * m)).reshape(-1, m)  # (k m, m)
                 for i, motion in enumerate(turned):
-                    pushed[:, :, i] += mixed @ (motion if factor is None else motion * factor)
+                    pushed[:, :, i] += sums.turned(mixed, motion[:, None] * factor).reshape(-1, m, s.size)
         out = -sums.paired(p_out, pushed)
         if self.first.size and e.is_base:
             w = self.masses.T @ st.shape

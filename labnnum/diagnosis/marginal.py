@@ -27,15 +27,16 @@ class Marginal:
         """Whitened squares of `r` (rows, 2 f), what is marginalised taken off at its price, and the price of frequency
         offsets, `shifted` (k + 1, k + 1) in the common columns and what is left.
         """
-        n, whole = self.own, float(np.sum(r * r))
         along = np.matmul(self.columns.transpose(1, 0, 2), r[:, :, None])[:, :, 0]
-        within = sums.forward(self.factor, along)
-        across = np.sum(along[:, n:], axis=0) - np.tensordot(within, self.factor[:, :, n:], 2)
-        k = across.size
-        gram = np.empty((k + 1, k + 1))
-        gram[:k, :k], gram[:k, k], gram[k, :k] = self.common, across, across
-        gram[k, k] = whole - float(np.sum(within * within))
-        return sensible(float(common_out(gram + shifted, k)[-1, -1]), whole + float(shifted[-1, -1]))
+        within, taken = sums.forward(self.factor, along)
+        squares = float(np.vdot(r, r))
+        whole, left = squares + float(shifted[-1, -1]), squares - taken + float(shifted[-1, -1])
+        if not len(self.common):
+            return sensible(left, whole)
+        across = along[:, self.own :].sum(axis=0) - np.tensordot(within, self.factor[:, :, self.own :], 2)
+        across += shifted[:-1, -1]
+        inner = self.common + shifted[:-1, :-1] + np.eye(across.size)
+        return sensible(left - float(across @ np.linalg.solve(inner, across)), whole)
 
 
 def sensible(left: float, whole: float) -> float:

@@ -103,10 +103,15 @@ class Problem:
 
     def scale(self, hessian: NDArray) -> NDArray[np.float64]:
         """Root of the diagonal; infinite, so that no step is made, where the data do not feel the whole range."""
-        own = np.diag(hessian)
-        with np.errstate(over="ignore", invalid="ignore"):
-            felt = own * self.reach**2 > 1e-10
+        own = hessian.diagonal()
+        felt = own > self._unfelt
         return np.where(felt, np.sqrt(np.where(felt, own, 1.0)), np.inf)
+
+    @cached_property
+    def _unfelt(self) -> NDArray[np.float64]:
+        """Entries of the Hessian's diagonal below which a parameter's whole range is not felt."""
+        with np.errstate(over="ignore", divide="ignore"):
+            return 1e-10 / self.reach**2
 
     def clip(self, x: NDArray) -> NDArray:
         """Inside the bounds."""
@@ -184,28 +189,48 @@ class Problem:
             return [(np.zeros((1, 1, 1, s.size), complex), w)]
         lift = r.lift * w
         modal = r.modal_out[:, :, None] if len(e.inputs) > len(e.outputs) else r.modal[:, None]
-        shapes = sc.shape * e.typical[:, None, None, None] * modal
+        shapes = e.typical[:, None, None, None] * modal
         typical = np.abs(r.rest).mean(axis=(0, 2), keepdims=True)
-        loss = np.array([1.0, 0.3j])[:, None, None, None] * sc.remainder
         parts = [
-            (shapes, lift),
-            (1j * (sc.complexity / sc.shape) * shapes, lift),
+            (sc.shape * shapes, lift),
+            (1j * sc.complexity * shapes, lift),
             (self._chained, r.value * w),
-            (np.broadcast_to(loss, (2, 1, 1, s.size)), r.rest * lift),
-            (np.broadcast_to(0.3 * sc.remainder * typical, (1, *typical.shape[:2], s.size)).astype(complex), lift),
+            (self._lost, r.rest * lift),
+            (0.3 * sc.remainder * typical[None] * np.ones(s.size), lift),
         ]
         if r.other_modal is not None and r.other_modal.shape[1] == len(e.inputs):
-            above = r.other_modal[np.searchsorted(e.outside_modes, e.modes_above)]
-            parts.append((sc.shape * above[:, None], lift))
-        if r.rigid is not None:  # soft springs and their loss under a free structure: a share that falls as 1/s^2
-            low = np.min(np.abs(s.imag))
-            held = sc.suspension * (low / s) ** 2
-            parts.append((np.stack([held, 0.5j * held])[:, None, None], r.rigid * lift))
-        if s.real.min() > 0:  # hits: an offset not taken off is 1/s in each row, from the record's start
-            size = np.median(np.abs(self.data.value), axis=2, keepdims=True)
-            offset = sc.offset * np.min(np.abs(s)) / s * np.exp(1j * s.imag * self.data.lead)
-            parts.append((np.stack([offset, 1j * offset])[:, None, None], size * w))
+            parts.append((sc.shape * r.other_modal[self._above][:, None], lift))
+        if r.rigid is not None:
+            parts.append((self._held_free, r.rigid * lift))
+        if s.real.min() > 0:
+            parts.append(self._offset)
         return [*parts, *((u, w) for u in self._moved_supports(r, x))]
+
+    @cached_property
+    def _above(self) -> NDArray[np.intp]:
+        """Places, among the modes outside the band, of those next above."""
+        return np.searchsorted(self.engine.outside_modes, self.engine.modes_above)
+
+    @cached_property
+    def _lost(self) -> NDArray[np.complex128]:
+        """Factors (2, 1, 1, f) of what modes outside the band contribute, and its loss."""
+        loss = np.array([1.0, 0.3j])[:, None, None, None] * self.scatter.remainder
+        return np.repeat(loss, self.data.s.size, axis=3)
+
+    @cached_property
+    def _held_free(self) -> NDArray[np.complex128]:
+        """Factors (2, 1, 1, f) of soft springs and their loss under a free structure: a share that falls as 1/s^2."""
+        s = self.data.s
+        held = self.scatter.suspension * (np.min(np.abs(s.imag)) / s) ** 2
+        return np.stack([held, 0.5j * held])[:, None, None]
+
+    @cached_property
+    def _offset(self) -> tuple[NDArray, NDArray]:
+        """Of hits: an offset not taken off is 1/s in each row, from the record's start."""
+        s = self.data.s
+        size = np.median(np.abs(self.data.value), axis=2, keepdims=True)
+        offset = self.scatter.offset * np.min(np.abs(s)) / s * np.exp(1j * s.imag * self.data.lead)
+        return np.stack([offset, 1j * offset])[:, None, None], size * self._weight
 
     @cached_property
     def _chained(self) -> NDArray[np.complex128]:

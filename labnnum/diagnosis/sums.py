@@ -270,13 +270,39 @@ def eliminated(gram, n):  # pragma: no cover - compiled
 
 @njit(cache=True, error_model="numpy")
 def forward(factor, b):  # pragma: no cover - compiled
-    """U'^-1 b of the upper factors (rows, n, a) and the first n of b (rows, a): (rows, n)."""
+    """U'^-1 b of the upper factors (rows, n, a) and the first n of b (rows, a): (rows, n), and its squares' sum."""
     rows, n = factor.shape[0], factor.shape[1]
     out = np.empty((rows, n))
     out[:] = b[:, :n]
+    squares = 0.0
     for row in range(rows):
         for j in range(n):
             out[row, j] /= factor[row, j, j]
+            squares += out[row, j] ** 2
             for i in range(j + 1, n):
                 out[row, i] -= factor[row, j, i] * out[row, j]
-    return out
+    return out, squares
+
+
+@njit(cache=True, error_model="numpy")
+def mode_derivatives(heavy, firm, shape, value):  # pragma: no cover - compiled
+    """Derivatives of log frequency (n, m), and of shapes as a mix of shapes (n, m, m): d shape = shape @ mix, by those
+    of M and K, (n, a, a) each, between shapes (a, m) with eigenvalues (m,).
+
+    Fox and Kapoor (1968), equations 8 and 14. Between modes closer than rounding the mix is left out: it turns the
+    pair within its own plane.
+    """
+    n, m, most = heavy.shape[0], value.size, value.max()
+    d_log, mix = np.zeros((n, m)), np.zeros((n, m, m))
+    across = np.ascontiguousarray(shape.T)
+    for j in range(n):
+        mass, stiff = across @ (heavy[j] @ shape), across @ (firm[j] @ shape)
+        for r in range(m):
+            if value[r] > 1e-10 * most:
+                d_log[j, r] = (stiff[r, r] - value[r] * mass[r, r]) / (2 * value[r])
+            for s in range(m):
+                gap = value[r] - value[s]
+                if abs(gap) > 1e-9 * max(abs(value[r]), 1e-3 * most):
+                    mix[j, s, r] = (stiff[s, r] - value[r] * mass[s, r]) / gap
+            mix[j, r, r] = -mass[r, r] / 2
+    return d_log, mix
