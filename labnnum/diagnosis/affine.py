@@ -42,8 +42,12 @@ class Affine:
     def reduced(self, theta: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """M and K at `theta` in the coordinates of the basis, (m, m) each."""
         off = theta - self.theta
-        mass, stiffness = (first + np.tensordot(off, d, 1) for first, d in zip(self._small, self.small_slopes, strict=True))
-        return mass, stiffness
+        (mass, stiffness), (dm, dk) = self._small, self.small_slopes
+        n, size = len(off), mass.size
+        return (
+            mass + (off @ dm.reshape(n, size)).reshape(mass.shape),
+            stiffness + (off @ dk.reshape(n, size)).reshape(mass.shape),
+        )
 
     @cached_property
     def _small(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

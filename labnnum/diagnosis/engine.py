@@ -143,7 +143,7 @@ class Engine:
         self.high = high  # columns phi / omega: static remainder is high @ high.T
         self.high_omega = omega[use:]
         self.high_softness = np.where(omega[use:] > 0, 1.0 / np.maximum(omega[use:], 1e-300), 0.0) ** 2
-        self._onto_basis = self.basis.T @ mass
+        self._onto_basis = np.vstack([self.basis.T @ mass, np.zeros(n)])
 
     def _damping(self, first: State) -> NDArray[np.float64]:
         m = self.structure.matrices(self.theta0)
@@ -394,8 +394,7 @@ class Engine:
 
     def in_basis(self, state: State) -> NDArray[np.float64]:
         """The modes of a state as motions of the nominal basis, (n_basis + 1, m); the last is that of the base."""
-        share = self._onto_basis @ state.shape
-        return np.vstack([share, np.zeros(share.shape[1])])
+        return self._onto_basis @ state.shape
 
     def inside_taken(self, s: NDArray) -> NDArray[np.complex128]:
         """`Inside.taken` between motions of the basis and the base, (n_basis + 1, n_basis + 1, n_s), modes beside the

@@ -335,8 +335,10 @@ class Problem:
         """Gram matrix of the prior of frequency offsets, (k + 1, k + 1): what directions of irregularity move them by,
         and where they are.
         """
+        if not moved.size:
+            return np.zeros((1, 1))
         c = np.vstack([-moved, -(x - self.mean)[self._offsets]]) / self.std[self._offsets]
-        return c @ c.T if moved.size else np.zeros((1, 1))
+        return c @ c.T
 
     def _parts(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray, NDArray, NDArray, NDArray | None, NDArray]:
         """Residuals (rows, 2 f), what is marginalised by row and in common (rows, 2 f, n), derivatives to `x`, and by

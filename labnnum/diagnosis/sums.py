@@ -87,15 +87,41 @@ def paired(left, right):  # pragma: no cover - compiled
     return out
 
 
-@njit(cache=True, error_model="numpy")
-def across(a, b):  # pragma: no cover - compiled
+def across(a: NDArray, b: NDArray) -> NDArray[np.complex128]:
     """Sum over k of a (j, k, f) and b (k, c, f): (j, c, f)."""
+    return _across(a, b) if b.shape[1] < 3 or b.shape[0] < 3 else _across_parts(a, b)
+
+
+@njit(cache=True, error_model="numpy")
+def _across(a, b):  # pragma: no cover - compiled
     out = np.zeros((a.shape[0], b.shape[1], a.shape[2]), np.complex128)
     for j in range(a.shape[0]):
         for k in range(a.shape[1]):
             for c in range(b.shape[1]):
                 for f in range(a.shape[2]):
                     out[j, c, f] += a[j, k, f] * b[k, c, f]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _across_parts(a, b):  # pragma: no cover - compiled
+    """The same by real and imaginary parts, which pays where each is used several times."""
+    (n_j, n_k, n_f), n_c = a.shape, b.shape[1]
+    out = np.empty((n_j, n_c, n_f), np.complex128)
+    real_b, imag_b = b.real.copy(), b.imag.copy()
+    real, imag = np.empty(n_f), np.empty(n_f)
+    for j in range(n_j):
+        real_a, imag_a = a[j].real.copy(), a[j].imag.copy()
+        for c in range(n_c):
+            real[:] = 0.0
+            imag[:] = 0.0
+            for k in range(n_k):
+                p, q, u, v = real_a[k], imag_a[k], real_b[k, c], imag_b[k, c]
+                for f in range(n_f):
+                    real[f] += p[f] * u[f] - q[f] * v[f]
+                    imag[f] += p[f] * v[f] + q[f] * u[f]
+            for f in range(n_f):
+                out[j, c, f] = complex(real[f], imag[f])
     return out
 
 
