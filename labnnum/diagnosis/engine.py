@@ -9,7 +9,7 @@ complex s, so that exponential windows and broadened resonances need no code of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis import sums
 from labnnum.diagnosis.affine import affine
 from labnnum.diagnosis.attached import Attached
+from labnnum.diagnosis.changed import Changed, changed, eigen
 from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.irregular import Irregular
 from labnnum.diagnosis.mesh import FINE, Inside
@@ -25,7 +26,7 @@ from labnnum.diagnosis.point import Point, Response, State
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import Site, Term
-from labnnum.mechanisms.changes import Change, Freed
+from labnnum.mechanisms.changes import Change
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
@@ -36,18 +37,6 @@ REACH = 2.5
 
 NEAR = 1.6
 """Modes up to so many times the band have errors of their own: their flanks still reach into it."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Changed:
-    """M and K with changes, their derivatives, and the shapes and base loads of coordinates that were appended."""
-
-    mass: NDArray
-    stiffness: NDArray
-    slopes: list[tuple[NDArray, NDArray]]
-    """To the structure's parameters, then to each change's."""
-    static: NDArray
-    own_load: NDArray
 
 
 ABOVE = 2
@@ -167,80 +156,16 @@ class Engine:
             self._cache[key] = self._state(theta, changes)
         return self._cache[key]
 
-    def _changed(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> _Changed:
+    def _changed(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> Changed:
         """The matrices, coordinates of supports that were let go appended, and their derivatives."""
-        off = theta - self.theta0
         if self._affine is not None:
             mass, stiffness = self._affine.at(theta)
             slopes = list(self._affine.slopes)
         else:
             m = self.structure.matrices(theta)
             mass, stiffness = np.real(m.M), np.real(m.K)
-            slopes = [(d.M, d.K) for d in self.structure.derivatives(theta)]
-        own = []
-        for change, p in changes:
-            own.append(change.derivatives(p, off))
-            if not isinstance(change, Freed):
-                more, stiffer = change.matrices(p, off)
-                mass, stiffness = mass + more, stiffness + stiffer
-                for j, (a, b) in enumerate(change.structure_derivatives(p, off)):
-                    slopes[j] = (slopes[j][0] + a, slopes[j][1] + b)
-        if any(isinstance(c, Freed) for c, _ in changes):
-            return self._freed(mass, stiffness, slopes, own, changes, off)
-        every = [*slopes, *(pair for part in own for pair in part)]
-        return _Changed(mass, stiffness, every, np.zeros((len(mass), 0)), np.zeros(0))
-
-    def _freed(
-        self, mass: NDArray, stiffness: NDArray, slopes: list, own: list, changes: Sequence[tuple[Change, NDArray]],
-        off: NDArray,
-    ) -> _Changed:  # fmt: skip
-        """With the held motions of supports let go: u = y + R q, so that mass that came to u loads y and q alike."""
-        free = [c for c, _ in changes if isinstance(c, Freed)]
-        static = np.hstack([c.static for c in free])
-        n, d = static.shape
-        spread = np.hstack([np.eye(n), static])
-
-        def lifted(pair: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
-            return spread.T @ pair[0] @ spread, np.pad(pair[1], (0, d))
-
-        nominal = self._nominal_mass
-        across = self._across(free, nominal)
-        more, stiffness = lifted((mass - nominal, stiffness))
-        mass = np.pad(nominal, (0, d)) + more
-        mass[n:, n:] += across[0]
-        stiffness[n:, n:] -= across[1] * (static.T @ stiffness[:n, :n] @ static)
-        slopes = [lifted(pair) for pair in slopes]
-        for _, slope in slopes:
-            slope[n:, n:] -= across[1] * (static.T @ slope[:n, :n] @ static)
-        every, at = [], n
-        for (change, p), part in zip(changes, own, strict=True):
-            if not isinstance(change, Freed):
-                every += [lifted(pair) for pair in part]
-                continue
-            here = slice(at, at + change.static.shape[1])
-            at = here.stop
-            mass[:n, here] += change.load
-            mass[here, :n] += change.load.T
-            for whole, share in zip((mass, stiffness), change.matrices(p, off), strict=True):
-                whole[here, here] += share
-            for pair, share in zip(slopes, change.structure_derivatives(p, off), strict=False):
-                pair[1][here, here] += share[1]
-            for _, slope in part:
-                whole = np.zeros_like(stiffness)
-                whole[here, here] = slope
-                every.append((np.zeros_like(mass), whole))
-        return _Changed(mass, stiffness, [*slopes, *every], static, np.concatenate([c.own_load for c in free]))
-
-    @staticmethod
-    def _across(free: Sequence[Freed], mass: NDArray) -> tuple[NDArray, NDArray]:
-        """Mass between motions of different supports, (d, d), and ones where those stand: of each support the shapes
-        R are with the others held, so that two are coupled by R1' L2 + L1' R2 - R1' M R2 and by -R1' K R2.
-        """
-        static, load = (np.hstack([getattr(c, k) for c in free]) for k in ("static", "load"))
-        own = np.repeat(np.arange(len(free)), [c.static.shape[1] for c in free])
-        apart = (own[:, None] != own[None, :]).astype(float)
-        both = static.T @ load
-        return apart * (both + both.T - static.T @ mass @ static), apart
+            slopes = [(np.real(d.M), np.real(d.K)) for d in self.structure.derivatives(theta)]
+        return changed(mass, stiffness, slopes, changes, theta - self.theta0, self._nominal_mass)
 
     @cached_property
     def _nominal_mass(self) -> NDArray[np.float64]:
@@ -251,15 +176,15 @@ class Engine:
         quick = self._affine if not changes else None
         made = None if quick and not self.is_base else self._changed(theta, changes)
         if quick:
-            value, own = _eigen(*quick.reduced(theta), theta)
+            value, own = eigen(*quick.reduced(theta), theta)
             shape = v @ own
         elif changes:  # they bend the elements themselves, which the nominal low modes do not span
             assert made is not None
-            value, own = _eigen(made.mass, made.stiffness, theta, v.shape[1])
+            value, own = eigen(made.mass, made.stiffness, theta, v.shape[1])
             shape = own[:n] + made.static @ own[n:]
         else:
             assert made is not None
-            value, own = _eigen(v.T @ made.mass @ v, v.T @ made.stiffness @ v, theta)
+            value, own = eigen(v.T @ made.mass @ v, v.T @ made.stiffness @ v, theta)
             shape = v @ own
         turned = self._turned(shape)
         own, shape = own * turned, shape * turned
@@ -268,13 +193,15 @@ class Engine:
         out = shape.T @ sensors.T
         omega = np.sqrt(np.maximum(value, 0))
         if quick:
-            around, slopes = own, quick.small_slopes
+            around, (heavy, firm) = own, quick.small_slopes
         else:
             assert made is not None
             around = whole
-            slopes = [np.array([np.real(pair[i]) for pair in made.slopes]).reshape(-1, *made.mass.shape) for i in (0, 1)]
-        n_par = len(slopes[0])
-        d_log, mix = sums.mode_derivatives(*slopes, np.ascontiguousarray(around), value)
+            slopes = [
+                np.array([np.real(pair[i]) for pair in made.slopes]).reshape(-1, *made.mass.shape) for i in (0, 1)
+            ]
+        n_par = len(heavy)
+        d_log, mix = sums.mode_derivatives(heavy, firm, np.ascontiguousarray(around), value)
         if self.is_base:
             assert made is not None
             r = np.real(self.structure.rigid(theta))
@@ -445,7 +372,8 @@ class Engine:
             if len(self._lifts) > 12:
                 self._lifts.pop(next(iter(self._lifts)))
             made = (self.sign_out[:, None, None] * s[None, None, :] ** self.rise[:, None, None]) / self.sign_in[:, None]
-            self._lifts[key] = made * s ** (2 - MOTION_ORDER[self.inputs[0].quantity]) if self.is_base else made
+            more = s ** (2 - MOTION_ORDER[self.inputs[0].quantity]) if self.is_base else 1.0
+            self._lifts[key] = np.asarray(made * more, complex)
         return self._lifts[key]
 
     def attached(self, terms: Sequence[Term]) -> Attached:
@@ -470,23 +398,3 @@ class Engine:
     ) -> Response:  # fmt: skip
         """FRFs at complex frequencies `s` (n_f,), in each channel's quantity and sign."""
         return Evaluation(self, point, terms, s).run(jacobian, modal or jacobian, common)
-
-
-def _eigen(
-    mass: NDArray, stiffness: NDArray, theta: NDArray, n: int | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Eigenvalues and vectors, of all modes or the first n."""
-    from scipy.linalg import LinAlgError, eigh
-    from scipy.linalg.lapack import dsygvd
-
-    failed = 0
-    try:
-        if n is None:  # the routine that `eigh` calls, which spends as long again on what it is given
-            value, own, failed = dsygvd(stiffness, mass)
-        else:
-            value, own = eigh(stiffness, mass, subset_by_index=[0, n - 1])
-    except LinAlgError:
-        failed = 1
-    if failed:
-        raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}")
-    return value, own  # pyright: ignore[reportPossiblyUnbound]

@@ -323,9 +323,7 @@ class Evaluation:
             yield term, c, first, first + term.width
             first += term.width
 
-    def _jacobian(
-        self, q: NDArray, p_out: NDArray, extra: list[tuple[slice, NDArray, NDArray, NDArray]]
-    ) -> NDArray:
+    def _jacobian(self, q: NDArray, p_out: NDArray, extra: list[tuple[slice, NDArray, NDArray, NDArray]]) -> NDArray:
         e, n_t, m_b = self.e, self.point.theta.size, self.e.band_modes.size
         n_o, n_i, n_f = len(e.outputs), len(e.inputs), self.s.size
         jac = np.zeros((n_t + self.n_terms + 3 * m_b + e.n_law, n_o, n_i, n_f), complex)

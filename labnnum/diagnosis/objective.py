@@ -215,7 +215,7 @@ class Problem:
     def _lost(self) -> NDArray[np.complex128]:
         """Factors (2, 1, 1, f) of what modes outside the band contribute, and its loss."""
         loss = np.array([1.0, 0.3j])[:, None, None, None] * self.scatter.remainder
-        return np.repeat(loss, self.data.s.size, axis=3)
+        return np.asarray(np.repeat(loss, self.data.s.size, axis=3), complex)
 
     @cached_property
     def _held_free(self) -> NDArray[np.complex128]:

@@ -59,11 +59,12 @@ class Point:
 
     def with_vector(self, x: NDArray) -> Point:
         """The point that `x` describes, lengths as here."""
-        parts, at = [], 0
-        for part in (self.theta, self.terms, self.shift, self.log_zeta, self.size):
-            parts.append(x[at : at + part.size])
-            at += part.size
-        return Point(*parts, x[at:])
+        a = self.theta.size
+        b = a + self.terms.size
+        c = b + self.shift.size
+        d = c + self.log_zeta.size
+        e = d + self.size.size
+        return Point(x[:a], x[a:b], x[b:c], x[c:d], x[d:e], x[e:])
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ def summed(left, right, d, static, slope, s):  # pragma: no cover - compiled
 
 @njit(cache=True, error_model="numpy")
 def spread(left, d):  # pragma: no cover - compiled
-    """left (r, a) times d (r, f): (r, a, f)."""
+    """Participations left (r, a) times d (r, f): (r, a, f)."""
     out = np.empty((left.shape[0], left.shape[1], d.shape[1]), np.complex128)
     for r in range(left.shape[0]):
         for a in range(left.shape[1]):
@@ -150,7 +150,7 @@ def solved(a, left, right):  # pragma: no cover - compiled
 
 @njit(cache=True, error_model="numpy")
 def _eliminate(a, b):  # pragma: no cover - compiled
-    """b becomes the solution x of a x = b, by elimination with the largest pivot of each column."""
+    """Turns b into the solution x of a x = b, by elimination with the largest pivot of each column."""
     k = a.shape[0]
     for p in range(k):
         best = p
@@ -236,7 +236,7 @@ def weighed(factors, q, p, out):  # pragma: no cover - compiled
 
 @njit(cache=True, error_model="numpy")
 def forced(x, h, force):  # pragma: no cover - compiled
-    """x (o, i, f) and what each of n forces (n, k, i, f) adds through h (o, k, f): (n, o, i, f)."""
+    """Displacements x (o, i, f) and what each of n forces (n, k, i, f) adds through h (o, k, f): (n, o, i, f)."""
     n, n_k, n_i, n_f = force.shape
     out = np.empty((n, x.shape[0], n_i, n_f), np.complex128)
     for j in range(n):
