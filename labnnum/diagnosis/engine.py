@@ -197,9 +197,8 @@ class Engine:
         else:
             assert made is not None
             around = whole
-            slopes = [
-                np.array([np.real(pair[i]) for pair in made.slopes]).reshape(-1, *made.mass.shape) for i in (0, 1)
-            ]
+            every = np.array(made.slopes).reshape(-1, 2, *made.mass.shape)
+            heavy, firm = np.ascontiguousarray(every[:, 0]), np.ascontiguousarray(every[:, 1])
         n_par = len(heavy)
         d_log, mix = sums.mode_derivatives(heavy, firm, np.ascontiguousarray(around), value)
         if self.is_base:
