@@ -147,17 +147,15 @@ class Evaluation:
         pulled = sums.turned(w.T, taken) - self._own_all * p_out
         return q + d * self._pushed, p_out + d * pulled
 
-    @property
+    @cached_property
     def _own_all(self) -> NDArray[np.float64]:
-        """`_own` of every mode, (m, 1, 1), nothing for those beside the band."""
+        """So much of what the inside takes off each mode's dynamic stiffness moves its frequency, (m, 1, 1); nothing of
+        modes beside the band.
+        """
         own = np.zeros((self.omega.size, 1, 1))
-        own[self.e.band_modes, 0, 0] = self._own()
+        if self.e.finer:
+            own[self.e.band_modes, 0, 0] = self.e.inside_own * self.omega[self.e.band_modes] ** 4
         return own
-
-    def _own(self) -> NDArray[np.float64]:
-        """So much of what the inside takes off each band mode's dynamic stiffness moves its frequency, (m_b,)."""
-        b = self.e.band_modes
-        return self.e.inside_own * self.omega[b] ** 4 if self.e.finer else np.zeros(b.size)
 
     def ingredients(self, own: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """For the last `own` columns of motion, with the columns before them coupled: x (o, i, f), and the
@@ -241,10 +239,9 @@ class Evaluation:
             return q, x, p_out, None, None
         h0, z0, gw, dw = self._receptances()
         z_in, z_out = sums.solved(sums.across(gw, self.g), z0, h0)
-        force = sums.across(self.g, z_in)
-        q = q - sums.across(dw, force)
-        p_out -= sums.across(dw, sums.across(self.g, z_out))
-        return q, x - sums.across(h0, force), p_out, z_in, z_out
+        q, x = q.copy(), x.copy()
+        sums.coupled(self.g, z_in, z_out, h0, dw, q, x, p_out)
+        return q, x, p_out, z_in, z_out
 
     # ---------------------------------------------------------------- modal terms
 
@@ -347,16 +344,12 @@ class Evaluation:
         return jac
 
     @cached_property
-    def _rates(self) -> tuple[NDArray, NDArray]:
-        """What a relative change of its damping ratio and one of its frequency add to each mode's dynamic stiffness,
-        (m, f).
+    def _rates(self) -> tuple[NDArray, NDArray, NDArray]:
+        """What a relative change of its damping ratio, one of its frequency and a larger share of hysteretic damping
+        add to each mode's dynamic stiffness, (m, f).
         """
-        w, b, h = self.omega[:, None], self.e.band_modes, float(self.point.law[0])
-        twice = 2 * self.zeta[:, None] * w
-        rate = (1 - h) * self.s + 1j * h * w  # what damping acts on: velocity, or displacement at a right angle
-        stiffer = 2 * w**2 + twice * (rate + 1j * h * w)
-        stiffer[b] += 4 * self._own()[:, None]  # what the inside takes moves with the frequency
-        return twice * rate, stiffer
+        follows = 4 * self._own_all[:, 0, 0]  # what the inside takes moves with the frequency
+        return sums.rates(self.omega, self.zeta, float(self.point.law[0]), follows, self.s)
 
     def _structure_slopes(self, jac: NDArray, q: NDArray, p_out: NDArray) -> None:
         """Derivatives to the structure's parameters and to those of changes of the whole structure."""
@@ -390,10 +383,10 @@ class Evaluation:
     def _mode_slopes(self, out: NDArray, q: NDArray, p_out: NDArray) -> None:
         """Derivatives to the modes' frequency offsets, damping and loads, and to the law of damping."""
         e, b, m_b = self.e, self.e.band_modes, self.e.band_modes.size
-        damped, stiffer = self._rates
+        damped, stiffer, swing = self._rates
         sums.mode_slopes(stiffer, damped, q, p_out, b, self.outside, 1 + self.point.shift, e.load_typical, out)
-        swing = 2 * (self.zeta * self.omega)[:, None] * (1j * self.omega[:, None] - self.s)
-        sums.weighed(-swing, q, p_out, out[3 * m_b])
+        sums.weighed(swing, q, p_out, out[3 * m_b])
+        out[3 * m_b] *= -1.0
         if e.n_law == 2:
             n = e.rigid_modes
             lost = np.broadcast_to(-e.elastic * self.s, (n, self.s.size)).copy()

@@ -177,6 +177,59 @@ def _eliminate(a, b):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
+def coupled(g, z_in, z_out, h0, dw, q, x, p):  # pragma: no cover - compiled
+    """The forces -g z (k, k, f) of motions z_in (k, i, f) added to q (r, i, f) through dw (r, k, f) and to x (o, i, f)
+    through h0 (o, k, f), those of z_out (k, o, f) to p (r, o, f).
+    """
+    n_k, n_i, n_f = z_in.shape
+    n_o = z_out.shape[1]
+    one, two = np.zeros((n_k, n_i, n_f), np.complex128), np.zeros((n_k, n_o, n_f), np.complex128)
+    for k in range(n_k):
+        for j in range(n_k):
+            for i in range(n_i):
+                for f in range(n_f):
+                    one[k, i, f] -= g[k, j, f] * z_in[j, i, f]
+            for o in range(n_o):
+                for f in range(n_f):
+                    two[k, o, f] -= g[k, j, f] * z_out[j, o, f]
+    for k in range(n_k):
+        for i in range(n_i):
+            for o in range(n_o):
+                for f in range(n_f):
+                    x[o, i, f] += h0[o, k, f] * one[k, i, f]
+        for r in range(dw.shape[0]):
+            for i in range(n_i):
+                for f in range(n_f):
+                    q[r, i, f] += dw[r, k, f] * one[k, i, f]
+            for o in range(n_o):
+                for f in range(n_f):
+                    p[r, o, f] += dw[r, k, f] * two[k, o, f]
+
+
+@njit(cache=True, error_model="numpy")
+def rates(omega, zeta, share, follows, s):  # pragma: no cover - compiled
+    """What a relative change of its damping ratio, one of its frequency and a larger share of hysteretic damping add to
+    each mode's dynamic stiffness, (r, f); `follows` (r,) is what moves with the frequency besides.
+    """
+    shape = (omega.size, s.size)
+    damped, stiffer, swing = (
+        np.empty(shape, np.complex128),
+        np.empty(shape, np.complex128),
+        np.empty(shape, np.complex128),
+    )
+    for r in range(omega.size):
+        w, twice = omega[r], 2 * zeta[r] * omega[r]
+        for f in range(s.size):
+            rate = (1 - share) * s[
+                f
+            ] + 1j * share * w  # what damping acts on: velocity, or displacement at a right angle
+            damped[r, f] = twice * rate
+            stiffer[r, f] = 2 * w * w + twice * (rate + 1j * share * w) + follows[r]
+            swing[r, f] = twice * (1j * w - s[f])
+    return damped, stiffer, swing
+
+
+@njit(cache=True, error_model="numpy")
 def state_slopes(stiffer, q, p, d_log, d_load, d_out):  # pragma: no cover - compiled
     """Displacements (n, o, i, f) by each of n parameters of the structure, what terms add left aside.
 
