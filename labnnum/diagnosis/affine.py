@@ -41,16 +41,24 @@ class Affine:
 
     def reduced(self, theta: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """M and K at `theta` in the coordinates of the basis, (m, m) each."""
-        return _sum(self._small, self.small_slopes, theta - self.theta)
+        off = theta - self.theta
+        (mass, stiffness), (dm, dk) = self._small, self.small_slopes
+        n, size = len(off), mass.size
+        return (
+            mass + (off @ dm.reshape(n, size)).reshape(mass.shape),
+            stiffness + (off @ dk.reshape(n, size)).reshape(mass.shape),
+        )
 
     @cached_property
     def _small(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return self._onto(*self._first)
 
     @cached_property
-    def small_slopes(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """The slopes in the coordinates of the basis."""
-        return [self._onto(*pair) for pair in self.slopes]
+    def small_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The slopes of M and of K in the coordinates of the basis, (n_theta, m, m) each."""
+        m = self.basis.shape[1]
+        pairs = [self._onto(*pair) for pair in self.slopes]
+        return np.array([a for a, _ in pairs]).reshape(-1, m, m), np.array([b for _, b in pairs]).reshape(-1, m, m)
 
     def _onto(self, mass: NDArray, stiffness: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         v = self.basis

@@ -9,13 +9,16 @@ complex s, so that exponential windows and broadened resonances need no code of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis import sums
 from labnnum.diagnosis.affine import affine
+from labnnum.diagnosis.attached import Attached
+from labnnum.diagnosis.changed import Changed, changed, eigen
 from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.irregular import Irregular
 from labnnum.diagnosis.mesh import FINE, Inside
@@ -23,7 +26,7 @@ from labnnum.diagnosis.point import Point, Response, State
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import Site, Term
-from labnnum.mechanisms.changes import Change, Freed
+from labnnum.mechanisms.changes import Change
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
@@ -34,18 +37,6 @@ REACH = 2.5
 
 NEAR = 1.6
 """Modes up to so many times the band have errors of their own: their flanks still reach into it."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Changed:
-    """M and K with changes, their derivatives, and the shapes and base loads of coordinates that were appended."""
-
-    mass: NDArray
-    stiffness: NDArray
-    slopes: list[tuple[NDArray, NDArray]]
-    """To the structure's parameters, then to each change's."""
-    static: NDArray
-    own_load: NDArray
 
 
 ABOVE = 2
@@ -75,7 +66,10 @@ class Engine:
         self._cache: dict[tuple, State] = {}
         self._seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
         self._share: tuple[tuple, NDArray[np.complex128]] | None = None
+        self._evaluated: tuple[tuple, Evaluation, tuple[Term, ...]] | None = None
         self._taken: dict[bytes, NDArray[np.complex128]] = {}
+        self._lifts: dict[bytes, NDArray[np.complex128]] = {}
+        self._attached: dict[tuple[int, ...], tuple[Attached, tuple[Term, ...]]] = {}
         self._grids: dict[tuple[int, int, int], tuple] = {}
         self._turns: dict[tuple[float, float], NDArray[np.float64]] = {}
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
@@ -137,6 +131,8 @@ class Engine:
         high = vector[:, use:] / np.where(omega[use:] > 0, omega[use:], np.inf)
         self.high = high  # columns phi / omega: static remainder is high @ high.T
         self.high_omega = omega[use:]
+        self.high_softness = np.where(omega[use:] > 0, 1.0 / np.maximum(omega[use:], 1e-300), 0.0) ** 2
+        self._onto_basis = np.vstack([self.basis.T @ mass, np.zeros(n)])
 
     def _damping(self, first: State) -> NDArray[np.float64]:
         m = self.structure.matrices(self.theta0)
@@ -160,129 +156,68 @@ class Engine:
             self._cache[key] = self._state(theta, changes)
         return self._cache[key]
 
-    def _changed(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> _Changed:
+    def _changed(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> Changed:
         """The matrices, coordinates of supports that were let go appended, and their derivatives."""
-        off = theta - self.theta0
         if self._affine is not None:
             mass, stiffness = self._affine.at(theta)
             slopes = list(self._affine.slopes)
         else:
             m = self.structure.matrices(theta)
             mass, stiffness = np.real(m.M), np.real(m.K)
-            slopes = [(d.M, d.K) for d in self.structure.derivatives(theta)]
-        own = []
-        for change, p in changes:
-            own.append(change.derivatives(p, off))
-            if not isinstance(change, Freed):
-                more, stiffer = change.matrices(p, off)
-                mass, stiffness = mass + more, stiffness + stiffer
-                for j, (a, b) in enumerate(change.structure_derivatives(p, off)):
-                    slopes[j] = (slopes[j][0] + a, slopes[j][1] + b)
-        if any(isinstance(c, Freed) for c, _ in changes):
-            return self._freed(mass, stiffness, slopes, own, changes, off)
-        every = [*slopes, *(pair for part in own for pair in part)]
-        return _Changed(mass, stiffness, every, np.zeros((len(mass), 0)), np.zeros(0))
-
-    def _freed(
-        self, mass: NDArray, stiffness: NDArray, slopes: list, own: list, changes: Sequence[tuple[Change, NDArray]],
-        off: NDArray,
-    ) -> _Changed:  # fmt: skip
-        """With the held motions of supports let go: u = y + R q, so that mass that came to u loads y and q alike."""
-        free = [c for c, _ in changes if isinstance(c, Freed)]
-        static = np.hstack([c.static for c in free])
-        n, d = static.shape
-        spread = np.hstack([np.eye(n), static])
-
-        def lifted(pair: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
-            return spread.T @ pair[0] @ spread, np.pad(pair[1], (0, d))
-
-        nominal = self._nominal_mass
-        across = self._across(free, nominal)
-        more, stiffness = lifted((mass - nominal, stiffness))
-        mass = np.pad(nominal, (0, d)) + more
-        mass[n:, n:] += across[0]
-        stiffness[n:, n:] -= across[1] * (static.T @ stiffness[:n, :n] @ static)
-        slopes = [lifted(pair) for pair in slopes]
-        for _, slope in slopes:
-            slope[n:, n:] -= across[1] * (static.T @ slope[:n, :n] @ static)
-        every, at = [], n
-        for (change, p), part in zip(changes, own, strict=True):
-            if not isinstance(change, Freed):
-                every += [lifted(pair) for pair in part]
-                continue
-            here = slice(at, at + change.static.shape[1])
-            at = here.stop
-            mass[:n, here] += change.load
-            mass[here, :n] += change.load.T
-            for whole, share in zip((mass, stiffness), change.matrices(p, off), strict=True):
-                whole[here, here] += share
-            for pair, share in zip(slopes, change.structure_derivatives(p, off), strict=False):
-                pair[1][here, here] += share[1]
-            for _, slope in part:
-                whole = np.zeros_like(stiffness)
-                whole[here, here] = slope
-                every.append((np.zeros_like(mass), whole))
-        return _Changed(mass, stiffness, [*slopes, *every], static, np.concatenate([c.own_load for c in free]))
-
-    @staticmethod
-    def _across(free: Sequence[Freed], mass: NDArray) -> tuple[NDArray, NDArray]:
-        """Mass between motions of different supports, (d, d), and ones where those stand: of each support the shapes
-        R are with the others held, so that two are coupled by R1' L2 + L1' R2 - R1' M R2 and by -R1' K R2.
-        """
-        static, load = (np.hstack([getattr(c, k) for c in free]) for k in ("static", "load"))
-        own = np.repeat(np.arange(len(free)), [c.static.shape[1] for c in free])
-        apart = (own[:, None] != own[None, :]).astype(float)
-        both = static.T @ load
-        return apart * (both + both.T - static.T @ mass @ static), apart
+            slopes = [(np.real(d.M), np.real(d.K)) for d in self.structure.derivatives(theta)]
+        return changed(mass, stiffness, slopes, changes, theta - self.theta0, self._nominal_mass)
 
     @cached_property
     def _nominal_mass(self) -> NDArray[np.float64]:
         return np.real(self.structure.matrices(self.theta0).M)
 
     def _state(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]]) -> State:
-        from scipy.linalg import LinAlgError, eigh
-
-        v = self.basis
-        n = len(v)
-        made = self._changed(theta, changes)
-        mass, stiffness, d = made.mass, made.stiffness, made.slopes
+        v, n = self.basis, len(self.basis)
         quick = self._affine if not changes else None
-        try:
-            if changes:  # they bend the elements themselves, which the nominal low modes do not span
-                value, own = eigh(stiffness, mass, subset_by_index=[0, v.shape[1] - 1])
-            else:
-                small = quick.reduced(theta) if quick else (v.T @ mass @ v, v.T @ stiffness @ v)
-                value, own = eigh(small[1], small[0])
-        except LinAlgError:
-            raise ModelError(f"the model is singular at parameters {np.array2string(theta, precision=4)}") from None
-        shape = own[:n] + made.static @ own[n:] if changes else v @ own
+        made = None if quick and not self.is_base else self._changed(theta, changes)
+        if quick:
+            value, own = eigen(*quick.reduced(theta), theta)
+            shape = v @ own
+        elif changes:  # they bend the elements themselves, which the nominal low modes do not span
+            assert made is not None
+            value, own = eigen(made.mass, made.stiffness, theta, v.shape[1])
+            shape = own[:n] + made.static @ own[n:]
+        else:
+            assert made is not None
+            value, own = eigen(v.T @ made.mass @ v, v.T @ made.stiffness @ v, theta)
+            shape = v @ own
         turned = self._turned(shape)
         own, shape = own * turned, shape * turned
         whole = own if changes else shape
         sensors, drives = self._rows(theta)
-        out = sensors @ shape
+        out = shape.T @ sensors.T
         omega = np.sqrt(np.maximum(value, 0))
-        own, slopes = (own, quick.small_slopes) if quick else (whole, d)
-        mixed = [_mode_derivatives(own.T @ dk @ own, own.T @ dm @ own, value) for dm, dk in slopes]
-        d_log = np.array([a for a, _ in mixed]).reshape(len(d), omega.size)
-        mix = np.array([b for _, b in mixed]).reshape(len(d), omega.size, omega.size)
-        n_par = len(d)
+        if quick:
+            around, (heavy, firm) = own, quick.small_slopes
+        else:
+            assert made is not None
+            around = whole
+            every = np.array(made.slopes).reshape(-1, 2, *made.mass.shape)
+            heavy, firm = np.ascontiguousarray(every[:, 0]), np.ascontiguousarray(every[:, 1])
+        n_par = len(heavy)
+        d_log, mix = sums.mode_derivatives(heavy, firm, np.ascontiguousarray(around), value)
         if self.is_base:
+            assert made is not None
             r = np.real(self.structure.rigid(theta))
-            moved = np.pad(r, (0, len(mass) - n))
-            pushed = mass @ moved + np.concatenate([self.held_load, made.own_load])
+            moved = np.pad(r, (0, len(made.mass) - n))
+            pushed = made.mass @ moved + np.concatenate([self.held_load, made.own_load])
             load = -(whole.T @ pushed)[:, None]
             high_in = -(pushed[:n] @ self.high)[None]
-            d_load = np.array([-(whole.T @ (dm @ moved))[:, None] for dm, _ in d]).reshape(n_par, -1, 1)
+            d_load = np.array([-(whole.T @ (dm @ moved))[:, None] for dm, _ in made.slopes]).reshape(n_par, -1, 1)
         else:
             r = np.zeros(n)
-            load = (drives @ shape).T
+            load = shape.T @ drives.T
             high_in = drives @ self.high
             d_load = self._moved(self.inputs, theta, shape, n_par)
         d_out = self._moved(self.outputs, theta, shape, n_par)
-        turn = np.moveaxis(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
+        turn = np.swapaxes(mix, 1, 2)  # (n_par, r, s): shape r changes by the sum over s
         return State(
-            theta, omega, shape, out.T, load, d_log, mix, d_load + turn @ load, d_out + turn @ out.T,
+            theta, omega, shape, out, load, d_log, mix, d_load + turn @ load, d_out + turn @ out,
             sensors @ self.high, high_in, r, sensors @ r, sensors, drives,
         )  # fmt: skip
 
@@ -385,8 +320,7 @@ class Engine:
 
     def in_basis(self, state: State) -> NDArray[np.float64]:
         """The modes of a state as motions of the nominal basis, (n_basis + 1, m); the last is that of the base."""
-        share = self.basis.T @ self._nominal_mass @ state.shape
-        return np.vstack([share, np.zeros(share.shape[1])])
+        return self._onto_basis @ state.shape
 
     def inside_taken(self, s: NDArray) -> NDArray[np.complex128]:
         """`Inside.taken` between motions of the basis and the base, (n_basis + 1, n_basis + 1, n_s), modes beside the
@@ -428,24 +362,38 @@ class Engine:
         modal = -(s**2) * one.d * (one.state.shape.T @ held.load[:, axis])[:, None]
         return ((one.state.sensors @ held.static[:, axis])[:, None] + one.state.out.T @ modal) / s**2
 
+    def lift(self, s: NDArray) -> NDArray[np.complex128]:
+        """Factor (n_out, n_in, n_f) from displacement per force (or per base acceleration) to what the channels read;
+        those of the last few lines are remembered.
+        """
+        key = s.tobytes()
+        if key not in self._lifts:
+            if len(self._lifts) > 12:
+                self._lifts.pop(next(iter(self._lifts)))
+            made = (self.sign_out[:, None, None] * s[None, None, :] ** self.rise[:, None, None]) / self.sign_in[:, None]
+            more = s ** (2 - MOTION_ORDER[self.inputs[0].quantity]) if self.is_base else 1.0
+            self._lifts[key] = np.asarray(made * more, complex)
+        return self._lifts[key]
+
+    def attached(self, terms: Sequence[Term]) -> Attached:
+        """Where these terms act together, remembered."""
+        key = tuple(id(t) for t in terms)
+        if key not in self._attached:
+            if len(self._attached) > 50:
+                self._attached.pop(next(iter(self._attached)))
+            self._attached[key] = (Attached.of(terms, self.high), tuple(terms))  # held, so that no identity is reused
+        return self._attached[key][0]
+
+    def evaluation(self, point: Point, terms: Sequence[Term], s: NDArray) -> Evaluation:
+        """What responses at a point are made of; that of the last point is remembered."""
+        key = (point.vector().tobytes(), tuple(id(t) for t in terms), s.tobytes())
+        if self._evaluated is None or self._evaluated[0] != key:
+            self._evaluated = (key, Evaluation(self, point, terms, s), tuple(terms))
+        return self._evaluated[1]
+
     def response(
         self, point: Point, terms: Sequence[Term], s: NDArray, *, jacobian: bool = False, modal: bool = False,
         common: NDArray | None = None,
     ) -> Response:  # fmt: skip
         """FRFs at complex frequencies `s` (n_f,), in each channel's quantity and sign."""
         return Evaluation(self, point, terms, s).run(jacobian, modal or jacobian, common)
-
-
-def _mode_derivatives(stiff: NDArray, mass: NDArray, value: NDArray) -> tuple[NDArray, NDArray]:
-    """Derivatives of log frequency (m,), and of shapes as a mix of shapes (m, m): d shape = shape @ mix.
-
-    Fox and Kapoor (1968), equations 8 and 14. Between modes closer than rounding the mix is left out: it turns the
-    pair within its own plane.
-    """
-    safe = np.maximum(value, 1e-10 * value.max())
-    d_log = np.where(value > 1e-10 * value.max(), (np.diag(stiff) - value * np.diag(mass)) / (2 * safe), 0.0)
-    gap = value[None, :] - value[:, None]  # lambda_r - lambda_s for column r, row s
-    apart = np.abs(gap) > 1e-9 * np.maximum(np.abs(value[None, :]), 1e-3 * value.max())
-    mix = np.where(apart, (stiff - value[None, :] * mass) / np.where(apart, gap, 1.0), 0.0)
-    np.fill_diagonal(mix, -np.diag(mass) / 2)
-    return d_log, mix

@@ -110,18 +110,25 @@ def fit(
 
 
 def _step(problem: Problem, here: Normal, x: NDArray, damping: float) -> NDArray:
-    at_low = (x <= problem.low) & (here.gradient < 0)
-    at_high = (x >= problem.high) & (here.gradient > 0)
-    free = ~(at_low | at_high)
-    d = problem.scale(here.hessian)
-    scaled = here.hessian / np.outer(d, d)
-    scaled = scaled + damping * np.eye(d.size)
     step = np.zeros_like(x)
-    if not (np.isfinite(scaled).all() and np.isfinite(here.gradient).all()):
+    d = problem.scale(here.hessian)
+    g = here.gradient / d
+    scaled = here.hessian / d / d[:, None]
+    scaled.flat[:: d.size + 1] += damping
+    if not (np.isfinite(scaled).all() and np.isfinite(g).all()):
         return step  # a response beyond all numbers leads nowhere
-    pick = np.ix_(free, free)
-    step[free] = np.linalg.lstsq(scaled[pick], (here.gradient / d)[free], rcond=1e-13)[0] / d[free]
-    return step / max(1.0, float(np.max(np.abs(step) / problem.reach)))
+    held = ((x <= problem.low) & (g < 0)) | ((x >= problem.high) & (g > 0))
+    free = np.flatnonzero(~held)
+    step[free] = _solved(scaled[free[:, None], free], g[free]) / d[free]
+    return step / max(1.0, float((np.abs(step) / problem.reach).max()))
+
+
+def _solved(matrix: NDArray, rhs: NDArray) -> NDArray:
+    """The solution, or the nearest thing to one where rounding leaves no damped matrix."""
+    try:
+        return np.linalg.solve(matrix, rhs)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(matrix, rhs, rcond=1e-13)[0]
 
 
 def _covariance(hessian: NDArray, problem: Problem, x: NDArray) -> tuple[NDArray, float]:

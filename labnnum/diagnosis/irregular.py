@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis import sums
 from labnnum.mechanisms.base import TRANSLATIONS
 from labnnum.mechanisms.geometry import element_stiffness, factors
 
@@ -124,18 +125,22 @@ class Irregular:
         middle = float(np.exp(np.mean(np.log(np.maximum(one.omega[e.band_modes], 1e-300)))))
         loss = 2 * float(np.exp(np.mean(one.point.log_zeta))) * ((1 - h) * s / middle + 1j * h)
         every, moved = self.couplings(one)
-        kinds = np.array(self.kinds)
-        out = np.zeros((common.shape[1], p_out.shape[1], q.shape[1], s.size), complex)
+        kinds, m, k = np.array(self.kinds), len(q), common.shape[1]
+        turned = np.ascontiguousarray(np.swapaxes(q, 0, 1))  # (i, m, f)
+        pushed = np.zeros((m, k, q.shape[1], s.size), complex)
         for pick, factor in (
             (kinds == "stiffness", np.ones_like(s)),
             ((kinds == "loss") | (kinds == "zone"), loss),
             (kinds == "mass", s**2),
         ):
-            if not pick.any():
-                continue
-            mixed = np.tensordot(common[pick].T, every[pick], 1)  # (k, m, m)
-            pushed = np.tensordot(mixed, q, 1)  # (k, m, i, f)
-            out -= np.einsum("mof,kmif->koif", p_out, pushed, optimize=True) * factor
+            if pick.any():
+                mixed = (common[pick].T @ every[pick].reshape(-1, m * m)).reshape(k, m, m)
+                mixed = np.swapaxes(mixed, 0, 1).reshape(m * k, m)
+                for i, motion in enumerate(turned):
+                    pushed[:, :, i] += sums.turned(mixed, motion[:, None] * factor).reshape(m, k, s.size)
+        seen = np.ascontiguousarray(np.swapaxes(p_out, 0, 1))  # (o, m, f)
+        added = sums.across(seen, pushed.reshape(m, -1, s.size)).reshape(len(seen), k, -1, s.size)
+        out = -np.swapaxes(added, 0, 1)
         if self.first.size and e.is_base:
             w = self.masses.T @ st.shape
             carried = np.add.reduceat(w * (self.masses.T @ st.rigid)[:, None], self.first, axis=0)

@@ -42,7 +42,7 @@ def recover(engine: Engine, data: Data, point: Point, term: Term) -> Recovered:
     one = Evaluation(engine, replace(point, terms=np.zeros(term.n)), [term], data.s)
     k = term.columns.shape[1]
     x, h, z, g = one.ingredients(k)
-    lift = one._lift()
+    lift = one.lift
     r = data.value - x * lift
     best: Recovered | None = None
     for c in range(k):
@@ -84,7 +84,7 @@ def imitated(engine: Engine, data: Data, point: Point, law: Term) -> tuple[float
     """
     one = Evaluation(engine, replace(point, terms=np.zeros(law.n)), [law], data.s)
     x, h, z, g = one.ingredients(law.width)
-    lift = one._lift()
+    lift = one.lift
     weight = 1.0 / np.hypot(data.sigma, ROUGHLY * np.abs(data.value))
     r = np.moveaxis((data.value - x * lift) * weight, 2, 0)  # (f, o, i)
     a = np.transpose(h[:, :, None] * (lift * weight)[:, None], (3, 2, 0, 1))  # (f, i, o, k)

@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis import sums
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.evaluation import Evaluation
+from labnnum.diagnosis.marginal import Marginal, by_rows, common_out, sensible
 from labnnum.diagnosis.point import Response
 from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.errors import LabnnumError
@@ -34,8 +36,8 @@ class Normal:
     prior_part: float
     gradient: NDArray
     hessian: NDArray
-    nuisance: NDArray
-    common: NDArray
+    held: Marginal
+    """What is marginalised, as it is there."""
     moved: NDArray
 
 
@@ -86,6 +88,7 @@ class Problem:
                 self.std[first : first + m] = 10.0 * scatter.trim * width
         self.low, self.high = low, high
         self.root2 = np.sqrt(2.0)
+        self._last: tuple[bytes, Evaluation] | None = None
         own_reach = [max(q.upper - q.lower, 1e-300) for t in self.terms for q in t.parameters]
         self.reach = np.concatenate(
             [
@@ -100,10 +103,15 @@ class Problem:
 
     def scale(self, hessian: NDArray) -> NDArray[np.float64]:
         """Root of the diagonal; infinite, so that no step is made, where the data do not feel the whole range."""
-        own = np.diag(hessian)
-        with np.errstate(over="ignore", invalid="ignore"):
-            felt = own * self.reach**2 > 1e-10
+        own = hessian.diagonal()
+        felt = own > self._unfelt
         return np.where(felt, np.sqrt(np.where(felt, own, 1.0)), np.inf)
+
+    @cached_property
+    def _unfelt(self) -> NDArray[np.float64]:
+        """Entries of the Hessian's diagonal below which a parameter's whole range is not felt."""
+        with np.errstate(over="ignore", divide="ignore"):
+            return 1e-10 / self.reach**2
 
     def clip(self, x: NDArray) -> NDArray:
         """Inside the bounds."""
@@ -142,80 +150,117 @@ class Problem:
             at += t.n
         return out
 
-    def _rows(self, a: Any) -> NDArray:
-        """Complex (..., o, i, f) over sigma to real (o i, 2 f, ...)."""
-        a = a * (self.root2 / self.data.sigma)
-        a = a.reshape(*a.shape[:-3], -1, a.shape[-1])
-        a = np.concatenate([a.real, a.imag], axis=-1)
-        return a if a.ndim == 2 else np.moveaxis(a, 0, -1)
+    @cached_property
+    def _weight(self) -> NDArray[np.complex128]:
+        """What whitens (o, i, f)."""
+        return np.asarray(self.root2 / self.data.sigma, complex)
 
-    def _nuisance(self, r: Response, x: NDArray) -> NDArray:
-        """Whitened columns (rows, 2 f, n) of what is marginalised, times their standard deviations."""
-        sc, e = self.scatter, self.engine
+    def _at(self, x: NDArray) -> Evaluation:
+        """The engine evaluated at `x`; the last one is remembered, since a step's value is asked for before its
+        derivatives are.
+        """
+        key = x.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, Evaluation(self.engine, self.start.with_vector(x), self.terms, self.data.s))
+        return self._last[1]
+
+    def whitened(self, value: NDArray) -> NDArray[np.float64]:
+        """Complex (n, o, i, f) over sigma as real (n, rows, 2 f)."""
+        out = np.empty((len(value), value[0, ..., 0].size, 2 * value.shape[-1]))
+        _put(out, value, self._weight)
+        return out
+
+    def _residuals(self, value: NDArray) -> NDArray[np.float64]:
+        """Data minus `value`, whitened, (rows, 2 f)."""
+        r = (self.data.value - value) * self._weight
+        r = r.reshape(-1, r.shape[-1])
+        return np.concatenate([r.real, r.imag], axis=1)
+
+    def _own_columns(self, r: Response, x: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """What is marginalised by row, times its standard deviations: each a pair of values (n, o, i, f) and a factor
+        (o, i, f), either of which may be one for all outputs or inputs.
+        """
+        sc, e, s, w = self.scatter, self.engine, self.data.s, self._weight
         assert r.modal is not None
         assert r.modal_out is not None
         assert r.lift is not None
         assert r.rest is not None
         if sc.trim:
-            return np.zeros((r.value.shape[0] * r.value.shape[1], 2 * self.data.s.size, 1))
-        b = e.band_modes
-        n_o, n_i = len(e.outputs), len(e.inputs)
-        if n_i > n_o:
-            modal = np.broadcast_to(r.modal_out[:, :, None, :], (b.size, n_o, n_i, self.data.s.size))
-        else:
-            modal = np.broadcast_to(r.modal[:, None, :, :], (b.size, n_o, n_i, self.data.s.size))
-        shapes = sc.shape * e.typical[:, None, None, None] * modal * r.lift
-        typical = np.broadcast_to(np.abs(r.rest).mean(axis=(0, 2), keepdims=True), r.rest.shape)
-        s = self.data.s / np.abs(self.data.s).max()
-        others = np.stack(
-            [
-                sc.gain * r.value,
-                1j * sc.phase * r.value,
-                s * sc.phase * r.value,
-                sc.remainder * r.rest * r.lift,
-                0.3j * sc.remainder * r.rest * r.lift,
-                0.3 * sc.remainder * typical * r.lift,
-            ]
-        )
-        parts = [shapes, 1j * (sc.complexity / sc.shape) * shapes, others]
-        if r.other_modal is not None and r.other_modal.shape[1] == n_i:
-            parts.append(sc.shape * r.other_modal[np.searchsorted(e.outside_modes, e.modes_above)][:, None] * r.lift)
-        if r.rigid is not None:  # soft springs and their loss under a free structure: a share that falls as 1/s^2
-            low = np.min(np.abs(self.data.s.imag))
-            held = sc.suspension * r.rigid * r.lift * (low / self.data.s) ** 2
-            parts.append(np.stack([held, 0.5j * held]))
-        if self.data.s.real.min() > 0:  # hits: an offset not taken off is 1/s in each row, from the record's start
-            size = np.median(np.abs(self.data.value), axis=2, keepdims=True)
-            offset = sc.offset * size * np.min(np.abs(self.data.s)) / self.data.s
-            offset = offset * np.exp(1j * self.data.s.imag * self.data.lead)
-            parts.append(np.stack([offset, 1j * offset]))
-        columns = self._rows(np.concatenate([*parts, *self._moved_supports(r, x)]))
-        for i in self._loose:
-            columns = self._loosened(columns, i, r)
-        return columns
+            return [(np.zeros((1, 1, 1, s.size), complex), w)]
+        lift = r.lift * w
+        modal = r.modal_out[:, :, None] if len(e.inputs) > len(e.outputs) else r.modal[:, None]
+        shapes = e.typical[:, None, None, None] * modal
+        typical = np.abs(r.rest).mean(axis=(0, 2), keepdims=True)
+        parts = [
+            (sc.shape * shapes, lift),
+            (1j * sc.complexity * shapes, lift),
+            (self._chained, r.value * w),
+            (self._lost, r.rest * lift),
+            (0.3 * sc.remainder * typical[None] * np.ones(s.size), lift),
+        ]
+        if r.other_modal is not None and r.other_modal.shape[1] == len(e.inputs):
+            parts.append((sc.shape * r.other_modal[self._above][:, None], lift))
+        if r.rigid is not None:
+            parts.append((self._held_free, r.rigid * lift))
+        if s.real.min() > 0:
+            parts.append(self._offset)
+        return [*parts, *((u, w) for u in self._moved_supports(r, x))]
 
-    def _inputs(self, r: Response) -> NDArray[np.complex128]:
-        """Columns (3 n_in, n_out, n_in, n_f) of each input's gain and phase, an error that all its responses share."""
+    @cached_property
+    def _above(self) -> NDArray[np.intp]:
+        """Places, among the modes outside the band, of those next above."""
+        return np.searchsorted(self.engine.outside_modes, self.engine.modes_above)
+
+    @cached_property
+    def _lost(self) -> NDArray[np.complex128]:
+        """Factors (2, 1, 1, f) of what modes outside the band contribute, and its loss."""
+        loss = np.array([1.0, 0.3j])[:, None, None, None] * self.scatter.remainder
+        return np.asarray(np.repeat(loss, self.data.s.size, axis=3), complex)
+
+    @cached_property
+    def _held_free(self) -> NDArray[np.complex128]:
+        """Factors (2, 1, 1, f) of soft springs and their loss under a free structure: a share that falls as 1/s^2."""
+        s = self.data.s
+        held = self.scatter.suspension * (np.min(np.abs(s.imag)) / s) ** 2
+        return np.stack([held, 0.5j * held])[:, None, None]
+
+    @cached_property
+    def _offset(self) -> tuple[NDArray, NDArray]:
+        """Of hits: an offset not taken off is 1/s in each row, from the record's start."""
+        s = self.data.s
+        size = np.median(np.abs(self.data.value), axis=2, keepdims=True)
+        offset = self.scatter.offset * np.min(np.abs(s)) / s * np.exp(1j * s.imag * self.data.lead)
+        return np.stack([offset, 1j * offset])[:, None, None], size * self._weight
+
+    @cached_property
+    def _chained(self) -> NDArray[np.complex128]:
+        """Factors (3, 1, 1, f) by which a gain, a phase and a delay change a channel, times their deviations."""
         sc, s = self.scatter, self.data.s / np.abs(self.data.s).max()
-        every = [sc.gain * np.ones_like(s), 1j * sc.phase * np.ones_like(s), s * sc.phase]
-        out = np.zeros((len(every) * len(self.engine.inputs), *r.value.shape), complex)
+        return np.stack([sc.gain * np.ones_like(s), 1j * sc.phase * np.ones_like(s), s * sc.phase])[:, None, None]
+
+    def _inputs(self, value: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """Each input's gain, phase and delay, an error that all its responses share."""
+        out = []
         for i in range(len(self.engine.inputs)):
-            for k, factor in enumerate(every):
-                out[len(every) * i + k, :, i] = factor * r.value[:, i]
+            own = np.zeros_like(value)
+            own[:, i] = value[:, i] * self._weight[:, i]
+            out.append((self._chained, own))
         return out
 
-    def _loosened(self, columns: NDArray, channel: int, r: Response) -> NDArray:
-        """The columns with those of one channel's rows widened, and its share of every mode outside the band free."""
+    def _loosened(self, columns: NDArray, at: int, channel: int, r: Response) -> int:
+        """The first `at` columns (n, rows, 2 f) widened in one channel's rows, and after them its share of every mode
+        outside the band; the number of columns then.
+        """
         assert r.other_modal is not None
         assert r.lift is not None
-        rows = self._rows_of(channel)
-        columns[rows] *= LOOSE
-        if not len(r.other_modal):
-            return columns
-        free = self._rows(r.other_modal[:, None] * r.lift)
-        more = np.zeros((columns.shape[0], columns.shape[1], free.shape[2]))
-        more[rows] = free[rows]
-        return np.concatenate([columns, more], axis=2)
+        rows, end = self._rows_of(channel), at + len(r.other_modal)
+        columns[:at, rows] *= LOOSE
+        if end > at:
+            _put(columns[at:end], r.other_modal[:, None], r.lift * self._weight)
+            others = np.ones(columns.shape[1], bool)
+            others[rows] = False
+            columns[at:end, others] = 0.0
+        return end
 
     def _without_dropped(self, data: Data) -> Data:
         """The data with nothing known of channels that a term gives up."""
@@ -255,14 +300,16 @@ class Problem:
 
     def value(self, x: NDArray, like: Normal) -> float:
         """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
-        resp = self.engine.response(self.start.with_vector(x), self.terms, self.data.s)
-        r = self._rows(self.data.value - resp.value)
-        return self._reduce(r, like.nuisance, like.common, self._shifted(x, like.moved)) + self._price(x)
+        r = self._residuals(self._at(x).run(False, False).value)
+        return like.held.reduce(r, self._shifted(x, like.moved)) + self._price(x)
 
     def marginal(self, x: NDArray) -> float:
         """Whitened squares at `x` with what is marginalised taken off at its price; nothing for `x` itself."""
-        r, b, c, _, moved = self._parts(x, jacobian=False)
-        return self._reduce(r, b, c, self._shifted(x, moved)) - self._price_of_offsets(x, moved)
+        columns, n, k, moved = self._columns(x, jacobian=False)
+        gram, shifted = by_rows(columns, n)[0], self._shifted(x, moved)
+        whole = float(np.sum(columns[-1] ** 2)) + float(shifted[-1, -1])
+        left = float(common_out(gram + shifted if k else gram, k)[-1, -1])
+        return sensible(left, whole) - self._price_of_offsets(x, moved)
 
     def _price(self, x: NDArray) -> float:
         """Price of what is fitted; of frequency offsets only where no part of the structure explains them."""
@@ -279,7 +326,7 @@ class Problem:
     def _common(self) -> NDArray | None:
         return None if self.scatter.trim else self.scatter.common
 
-    @property
+    @cached_property
     def _offsets(self) -> slice:
         first = self.start.theta.size + self.start.terms.size
         return slice(first, first + self.start.shift.size)
@@ -288,49 +335,58 @@ class Problem:
         """Gram matrix of the prior of frequency offsets, (k + 1, k + 1): what directions of irregularity move them by,
         and where they are.
         """
+        if not moved.size:
+            return np.zeros((1, 1))
         c = np.vstack([-moved, -(x - self.mean)[self._offsets]]) / self.std[self._offsets]
-        return c @ c.T if moved.size else np.zeros((1, 1))
+        return c @ c.T
 
     def _parts(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray, NDArray, NDArray, NDArray | None, NDArray]:
         """Residuals (rows, 2 f), what is marginalised by row and in common (rows, 2 f, n), derivatives to `x`, and by
         how much what is common moves frequencies (k, m_b).
         """
-        point = self.start.with_vector(x)
-        common = self._common
-        resp = self.engine.response(point, self.terms, self.data.s, jacobian=jacobian, modal=True, common=common)
-        r = self._rows(self.data.value - resp.value)
-        j = None if resp.jacobian is None else self._rows(resp.jacobian)
-        if resp.common is None or resp.moved is None:
-            return r, self._nuisance(resp, x), np.zeros((*r.shape, 0)), j, np.zeros((0, point.shift.size))
-        shared = np.concatenate([resp.common, self._inputs(resp)])
-        moved = np.vstack([resp.moved, np.zeros((len(shared) - len(resp.moved), point.shift.size))])
-        return r, self._nuisance(resp, x), self._rows(shared), j, moved
+        columns, n, k, moved = self._columns(x, jacobian=jacobian)
+        every = columns.transpose(1, 2, 0)
+        return columns[-1], every[..., :n], every[..., n : n + k], every[..., n + k : -1] if jacobian else None, moved
 
-    @staticmethod
-    def _reduce(r: NDArray, b: NDArray, c: NDArray, shifted: NDArray) -> float:
-        """Whitened squares of `r` and the price of frequency offsets, what is marginalised taken off at its price."""
-        whole = float(np.sum(r * r)) + float(shifted[-1, -1])
-        gram = by_rows(np.concatenate([b, c, r[..., None]], axis=2), b.shape[2])
-        left = float(common_out(gram + shifted if c.shape[2] else gram, c.shape[2])[-1, -1])
-        return left if left >= 1e-9 * whole else whole  # so large that its own ordinary errors would explain anything
+    def _columns(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray[np.float64], int, int, NDArray[np.float64]]:
+        """Whitened columns (n + k + n_x + 1, rows, 2 f): n marginalised by row, k in common, derivatives to `x` where
+        asked for, residuals; n; k; and by how much what is common moves frequencies (k, m_b).
+        """
+        r = self._at(x).run(jacobian, True, self._common)
+        own, loose = self._own_columns(r, x), self._loose
+        shared = [(r.common, self._weight), *self._inputs(r.value)] if r.common is not None else []
+        more = len(loose) * len(r.other_modal) if r.other_modal is not None else 0
+        n, k = (sum(len(v) for v, _ in part) for part in (own, shared))
+        n += more
+        n_x = len(r.jacobian) if r.jacobian is not None else 0
+        columns = np.empty((n + k + n_x + 1, self.data.value[..., 0].size, 2 * self.data.s.size))
+        at = _filled(columns, 0, own)
+        for channel in loose:
+            at = self._loosened(columns, at, channel, r)
+        at = _filled(columns, at, shared)
+        if r.jacobian is not None:
+            _filled(columns, at, [(r.jacobian, self._weight)])
+        columns[-1] = self._residuals(r.value)
+        moved = np.zeros((k, self.start.shift.size))
+        if r.moved is not None:
+            moved[: len(r.moved)] = r.moved
+        return columns, n, k, moved
 
     def normal(self, x: NDArray) -> Normal:
         """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
-        r, b, c, j, moved = self._parts(x, jacobian=True)
-        assert j is not None
-        k = c.shape[2]
-        gram = by_rows(np.concatenate([b, c, j, r[..., None]], axis=2), b.shape[2])
+        columns, n, k, moved = self._columns(x, jacobian=True)
+        gram, factor = by_rows(columns, n)
+        held = Marginal(columns[: n + k], n, factor[:, :, : n + k], gram[:k, :k].copy())
         if k:
             gram += self._with_offsets(x, moved)
         free = common_out(gram, k)
-        whole = float(np.sum(r * r))
-        both = float(free[-1, -1]) if free[-1, -1] >= 1e-9 * whole else whole
+        both = sensible(float(free[-1, -1]), float(np.sum(columns[-1] ** 2)))
         hessian, gradient = free[:-1, :-1], free[:-1, -1]
         gradient = gradient - self._prior * (x - self.mean)
         asked = self._price_of_offsets(x, moved)
         price = self._price(x)
         return Normal(
-            both + price, both - asked, price + asked, gradient, hessian + np.diag(self._prior), b, c, moved
+            both + price, both - asked, price + asked, gradient, hessian + np.diag(self._prior), held, moved
         )  # fmt: skip
 
     def _with_offsets(self, x: NDArray, moved: NDArray) -> NDArray:
@@ -350,16 +406,13 @@ class Problem:
         return float(common_out(self._shifted(x, moved), len(moved))[-1, -1])
 
 
-def by_rows(every: NDArray, n: int) -> NDArray:
-    """Gram matrix of columns (rows, 2 f, n + m), summed over rows; each row's own first n are marginalised."""
-    gram = np.matmul(every.transpose(0, 2, 1), every)
-    across = gram[:, :n, n:]
-    solved = np.linalg.solve(gram[:, :n, :n] + np.eye(n), across)
-    return np.sum(gram[:, n:, n:] - np.matmul(across.transpose(0, 2, 1), solved), axis=0)
+def _put(columns: NDArray, values: NDArray, factor: NDArray) -> None:
+    sums.put(columns, np.ascontiguousarray(values, complex), np.ascontiguousarray(factor, complex))
 
 
-def common_out(gram: NDArray, k: int) -> NDArray:
-    """The same with the first k, common to all rows and of deviation one, left out."""
-    if not k:
-        return gram
-    return gram[k:, k:] - gram[:k, k:].T @ np.linalg.solve(gram[:k, :k] + np.eye(k), gram[:k, k:])
+def _filled(columns: NDArray, at: int, parts: Sequence[tuple[NDArray, NDArray]]) -> int:
+    """Columns (n, rows, 2 f) from `at` on set to values times factors; the number of columns then."""
+    for values, factor in parts:
+        _put(columns[at : at + len(values)], values, factor)
+        at += len(values)
+    return at

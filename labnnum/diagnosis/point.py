@@ -59,8 +59,12 @@ class Point:
 
     def with_vector(self, x: NDArray) -> Point:
         """The point that `x` describes, lengths as here."""
-        cuts = np.cumsum([self.theta.size, self.terms.size, self.shift.size, self.log_zeta.size, self.size.size])
-        return Point(*np.split(x, cuts))
+        a = self.theta.size
+        b = a + self.terms.size
+        c = b + self.shift.size
+        d = c + self.log_zeta.size
+        e = d + self.size.size
+        return Point(x[:a], x[a:b], x[b:c], x[c:d], x[d:e], x[e:])
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,9 +69,7 @@ class Profile:
 
     def rows(self, value: NDArray) -> NDArray[np.float64]:
         """Complex (n, o, i, f) to whitened real (rows, n, 2 f)."""
-        a = value * (self.problem.root2 / self.problem.data.sigma)
-        a = a.reshape(a.shape[0], -1, a.shape[-1])
-        return np.moveaxis(np.concatenate([a.real, a.imag], axis=-1), 0, 1)
+        return self.problem.whitened(value).transpose(1, 0, 2)
 
     def project(self, r: NDArray) -> tuple[NDArray, NDArray]:
         """u-part removed (rows, n, 2 f) and the gradient to the explicit errors (n, n_x)."""

@@ -118,6 +118,10 @@ class Term:
 
     def stiffness(self, s: NDArray, p: NDArray, change: NDArray | None = None) -> NDArray[np.complex128]:
         """Dynamic stiffness between the columns, shape (k, k, n_f), `change` of the structure's parameters given."""
+        if len(self.groups) == 1:
+            law = self.groups[0].law_at(change)
+            first = self.groups[0].first
+            return _spread(np.asarray(law.value(s, p[first : first + len(law.names)]), complex), self.width)
         out = np.zeros((self.width, self.width, s.size), complex)
         at = 0
         for g in self.groups:
@@ -160,7 +164,9 @@ class Term:
 
 def _spread(g: NDArray, width: int) -> NDArray:
     """A scalar law (n_f,) on each of its columns; a matrix law (k, k, n_f) as it is."""
-    return g if g.ndim == 3 else np.eye(width)[:, :, None] * g
+    if g.ndim == 3:
+        return g
+    return g[None, None] if width == 1 else np.eye(width)[:, :, None] * g
 
 
 class Mechanism(ABC):
