@@ -13,6 +13,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
 from labnnum.diagnosis.nonlinear.company import beside_others
 from labnnum.diagnosis.nonlinear.decision import (
+    BENT,
     KNOWN,
     MISFIT,
     NEARLY,
@@ -29,7 +30,7 @@ from labnnum.diagnosis.nonlinear.joined import joined, records
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
-from labnnum.diagnosis.nonlinear.pairs import BETTER, paired, study_of
+from labnnum.diagnosis.nonlinear.pairs import BETTER, ENOUGH, paired, study_of
 from labnnum.diagnosis.nonlinear.recorded import behind_recorder
 from labnnum.diagnosis.nonlinear.records import Split, changed, split
 from labnnum.diagnosis.nonlinear.run import Run
@@ -246,7 +247,8 @@ class _Search:
             tried = [*yielding_kin(found, best, self.scatter), *tried[1:]]
             tried = [*_ahead(nameless_kin(found, tried[0], self.scatter), tried[0], self.limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, self.scatter))
-        two = self.both(seen, tried[0]) if not self.identified and _poor(tried[0]) else None
+        alone = not self.identified and (_poor(tried[0]) or _bought(tried[0]))
+        two = self.both(seen, tried[0]) if alone else None
         return two or laws_of(
             found, self.every, self.train, self.test, self.scatter, self.limits, self.progress, self.identified
         )  # fmt: skip
@@ -258,8 +260,8 @@ class _Search:
             return None
         self.progress("comparing pairs of nonlinear laws")
         found, laws = study_of(seen, pairs, self.scatter, self.limits.further)
-        level = laws[-1].made.data_part / laws[-1].made.count
-        before = np.inf if one is None else one.made.data_part / one.made.count
+        level = laws[-1].made.objective / laws[-1].made.count
+        before = np.inf if one is None else one.made.objective / one.made.count
         return (found, laws) if level < min(NOISY, BETTER * before) else None
 
     def _deepened(self, found: Study, best: Tried) -> Tried:
@@ -348,6 +350,12 @@ def _ahead(other: Tried | None, best: Tried, limits: Limits) -> list[Tried]:
 def _poor(last: Tried) -> bool:
     """Whether a law leaves so much that something else acts beside them."""
     return last.made.data_part > POOR * last.made.count
+
+
+def _bought(last: Tried) -> bool:
+    """Whether a law leaves more than noise though the base bends far for it."""
+    made = last.made
+    return made.prior_part > BENT * made.n_base and made.data_part > ENOUGH * made.count
 
 
 def _runs(some: Sequence[Observation]) -> list[Run]:

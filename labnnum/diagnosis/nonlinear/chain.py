@@ -13,16 +13,16 @@ from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, looked, nearest
-from labnnum.diagnosis.nonlinear.further import further, needed
+from labnnum.diagnosis.nonlinear.further import GAIN, further, needed
 from labnnum.diagnosis.nonlinear.locate import Spot
 from labnnum.diagnosis.nonlinear.study import FINE, UNSURE, at_places
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Limits
 
-PROMISE = 0.3
-"""Part of what the first law leaves beyond noise that a second must promise to remove: names need a fit near the noise,
-and of two laws the second must bring it there."""
+PROMISE, WORTH = 0.15, 0.3
+"""Part of what the first law leaves beyond noise that a second must promise to remove along the motion, which the first
+has bent, and that it must remove in the end: of two laws the second must bring the fit near the noise."""
 FURTHER = 0.97
 """Part of the held-out error so far that one more law must bring it below."""
 
@@ -114,10 +114,10 @@ def chain(
         if (kind == "named" and refused) or (kind == "own" and full):
             continue
         progress(f"looking for nonlinear law {len(laws) + 1}")
-        promise = 0.1 if identified else PROMISE
+        promise, worth = (GAIN, GAIN) if identified else (PROMISE, WORTH)
         more = further(
             found, laws[-1], every, scatter, limits.further, general=kind in ("own", "general"), own=kind == "own",
-            promise=promise,
+            promise=promise, worth=worth,
         )  # fmt: skip
         told = held_out(more) if more is not None else np.inf
         if more is None or told > FURTHER * error:

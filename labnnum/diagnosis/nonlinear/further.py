@@ -27,7 +27,7 @@ GAIN = 0.1
 
 def further(
     study: Study, first: Tried, spots: Sequence[Spot], scatter: Scatter, alarm: float, lines: int = 250, *,
-    general: bool = False, own: bool = False, promise: float = 0.1,
+    general: bool = False, own: bool = False, promise: float = 0.1, worth: float = GAIN,
 ) -> Tried | None:  # fmt: skip
     """One more law beside those of `first`: the best that any spot's remaining force asks for, fitted with them.
 
@@ -39,11 +39,13 @@ def further(
         Whether of its terms only those are tried that are laws of the catalogue, as such.
     promise : float
         Part of the excess over noise that a law must promise to remove along the recovered motion to be fitted.
+    worth : float
+        Part of it that the law must remove once fitted.
 
     Returns
     -------
     Tried or None
-        Its `made` holds the laws so far and the new one; None where none gains `alarm` and `GAIN` of the excess.
+        Its `made` holds the laws so far and the new one; None where none gains `alarm` and is worth it.
     """
     engine, point, runs = study.engine, study.point, study.runs
     chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
@@ -84,7 +86,7 @@ def further(
     excess = max(1.0, best.made.data_part / best.made.count)
     gain = (made.objective - best.cost) / excess
     left = max(made.objective - made.count, 1.0) / excess
-    return best if gain > max(alarm, GAIN * left) else None
+    return best if gain > max(alarm, worth * left) else None
 
 
 YIELDING = ("stick-slip", "sliders", "hysteresis")
