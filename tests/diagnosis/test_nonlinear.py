@@ -7,13 +7,13 @@ from labnnum.diagnosis import diagnose, observe_all
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.joined import levels
-from labnnum.diagnosis.nonlinear.march import CODES, _part
+from labnnum.diagnosis.nonlinear.march import CODES
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.mechanisms.base import Place
 from labnnum.mechanisms.stick_slip import StickSlip
-from labnnum.nonlinear import Element, NonlinearSimulation
+from labnnum.nonlinear import Element, NonlinearSimulation, part_of_limit
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel, Recording
 from labnnum.structures import Chain
@@ -191,7 +191,7 @@ def test_dry_friction_on_a_seat_that_gives_way_converges_with_the_square_of_the_
 @pytest.mark.parametrize("free", [-3.0, -0.4, -1e-3, 1e-9, 0.2, 5.0])
 def test_the_part_of_dry_friction_solves_its_equation(before, free):
     take = 0.3
-    part = _part(free, take, before)
+    part = part_of_limit(free, take, before)
     assert -1 <= part <= 1
     speed = free - take * part
     if abs(part) < 1 and before:
@@ -200,7 +200,7 @@ def test_the_part_of_dry_friction_solves_its_equation(before, free):
         assert speed == pytest.approx(0.0, abs=1e-12)
     else:
         assert 2 * speed * part >= abs(speed - before) - 1e-12
-    assert _part(-free, take, -before) == pytest.approx(-part)
+    assert part_of_limit(-free, take, -before) == pytest.approx(-part)
 
 
 def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3):

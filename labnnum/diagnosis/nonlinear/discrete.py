@@ -17,8 +17,9 @@ class Discrete:
     """Transitions T (4, m) and weights W0, W1 (2, m) of modes w (k, m) over one step, and the march's transfers.
 
     `inner`, `rate` (k, k): motion and speed that a force causes within its own step; `back` what of the speed the force
-    of the step before takes away; `seated` (k,) whether dry friction holds a place there. `gz`, `gv` (k, k, n_lines): motion and speed of the places to forces as they are
-    marched; `miss_z`, `miss_v` what the exact receptances have beyond; `xq`, `xv` (m, n_lines) states of the modes.
+    of the step before takes away; `seated` (k,) whether dry friction holds a place there. `gz`, `gv` (k, k, n_lines):
+    motion and speed of the places to forces as they are marched; `miss_z`, `miss_v` what the exact receptances have
+    beyond; `xq`, `xv` (m, n_lines) states of the modes.
     """
 
     T: NDArray
@@ -38,8 +39,8 @@ class Discrete:
 
 
 SEATED = 1.5
-"""How much more than within a step by its own inertia a place must give way by what follows at once, for dry friction to
-hold the place and not the speed: a stiffer seat rings from step to step, and a softer one has a speed of its own."""
+"""How much more than within a step by its own inertia a place must give way by what follows at once, for dry friction
+to hold the place and not the speed: a stiffer seat rings from step to step, and a softer one has a speed of its own."""
 
 
 def discrete(r: Receptance, step: float, top: int) -> Discrete:

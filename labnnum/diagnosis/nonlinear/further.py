@@ -90,8 +90,8 @@ def further(
 
 
 YIELDING = ("stick-slip", "sliders", "hysteresis")
-"""Laws of which one contains another: a slider with a spring, many of them, its corners rounded. Dry friction beside one
-of them is a second slider, that has no spring."""
+"""Laws of which one contains another: a slider with a spring, many of them, its corners rounded. Dry friction beside
+one of them is a second slider, that has no spring."""
 
 
 def _again(lead: Lead, held: Sequence[Acting]) -> bool:

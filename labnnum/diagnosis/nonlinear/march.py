@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from labnnum.mechanisms.stick_slip import SLIDERS
+from labnnum.nonlinear import part_of_limit
 
 LAWS: dict[str, tuple[str, ...]] = {
     "cubic": ("k3",),
@@ -188,25 +189,6 @@ def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
 
 
 @njit(cache=True)
-def _part(v, c, before):  # pragma: no cover - compiled
-    """Part of its limit that dry friction reaches at the end of a step: v there without it, c what the whole limit
-    takes off v, `before` v at the end of the step before.
-
-    A jump within a step is taken as its mean over the steps on either side, straight in v: 2 v' / |v' - before| within
-    -1 and 1 with v' = v - c part, that is c part^2 + (before - v + 2 c) part - 2 v = 0 for what moved forwards. Where
-    nothing moved that is v / c: what holds.
-    """
-    s = 1.0
-    if before < 0.0:
-        s, v, before = -1.0, -v, -before
-    b = before - v + 2.0 * c
-    below = b + np.sqrt(max(b * b + 8.0 * c * v, 0.0))
-    if below <= 4.0 * abs(v):
-        return s if v > 0.0 else -s
-    return s * 4.0 * v / below
-
-
-@njit(cache=True)
 def _place(v, gv, f, memory, step, d):  # pragma: no cover - compiled
     """Where dry friction holds from a step on: where it stood, or turned within the step if it slid with the force f
     and then at the speed `memory[1]`; v is the speed at the end without it. In d: slopes of that to both speeds.
@@ -231,7 +213,7 @@ def solve_force(code, z, v, gz, gv, seated, p, memory, last, guess, step, lp, d)
         slid = last if abs(last) >= p[0] else 0.0
         return min(max((_place(v, gv, slid, memory, step, d) - z) / gz, -p[0]), p[0])
     if code == 4:
-        return -p[0] * _part(v, max(gv, 0.0) * p[0], memory[0])
+        return -p[0] * part_of_limit(v, max(gv, 0.0) * p[0], memory[0])
     f = guess
     for i in range(60):
         value, dz, dv = law(code, z + gz * f, v + gv * f, p, memory, lp, d)
@@ -439,7 +421,8 @@ def march(
                             z += gz[e, o] * new[o]
                             v += gv[e, o] * new[o]
                     one = solve_force(
-                        codes[e], z, v, gz[e, e], gv[e, e], seated[e], p[e], memory[e], f[e], new[e], stride, lp[e], d[e]
+                        codes[e], z, v, gz[e, e], gv[e, e], seated[e], p[e], memory[e], f[e], new[e], stride, lp[e],
+                        d[e],
                     )  # fmt: skip
                     change = max(change, abs(one - new[e]))
                     size = max(size, abs(one))

@@ -76,8 +76,8 @@ def per_place(engine: Engine) -> int:
 class Base:
     """The base model at places `columns` (n, k), on lines s = decay + i omega (n_f,) of which the first may be zero.
 
-    Where `lines` are given, what concerns sensors (`plain`, `h`, `lift`) is held on those lines only. `jumps`: whether a
-    force acts that jumps, which modes farther above the band are marched for.
+    Where `lines` are given, what concerns sensors (`plain`, `h`, `lift`) is held on those lines only. `jumps`: whether
+    a force acts that jumps, which modes farther above the band are marched for.
 
     The vector that may vary holds the structure's parameters, then for each band mode a frequency offset, the
     logarithm of its damping, an offset of its load, and, place by place, of its motion there, as in

@@ -341,8 +341,8 @@ class Steady:
         x, f, memory = orbit.x.copy(), orbit.f.copy(), orbit.memory.copy()
         marched(self.n, m, k, nt)
         bad = march(
-            made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, made.seated, self.step, source, self.codes,
-            np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes,
+            made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, made.seated, self.step, source,
+            self.codes, np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes,
         )  # fmt: skip
         end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(self.room * k, nt)])
         return _Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)
