@@ -26,7 +26,7 @@ from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.effort import counted, tired
 from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.fitting import Made
-from labnnum.diagnosis.nonlinear.joined import joined, records
+from labnnum.diagnosis.nonlinear.joined import joined, records, with_friction
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
@@ -287,6 +287,8 @@ class _Search:
         if more:
             self.progress("fitting records that are not periodic")
             laws[-1] = joined(found, laws[-1], more, self.scatter)
+            dry = with_friction(found, laws[-1], more, self.scatter)
+            laws += [] if dry is None else [dry]
         if not self.identified and all(laws[-1].made is not m for m in self.deep):
             laws[-1] = self._deepened(found, laws[-1])
         return decide(

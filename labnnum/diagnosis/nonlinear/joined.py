@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
 from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import filtered_run
 from labnnum.diagnosis.nonlinear.problem import Joint
+from labnnum.diagnosis.nonlinear.receptance import per_place
 from labnnum.diagnosis.nonlinear.records import stretch_of
 from labnnum.diagnosis.nonlinear.run import Run, resampled
 from labnnum.diagnosis.scatter import Scatter
@@ -53,6 +56,39 @@ def joined(found: Study, last: Tried, more: Sequence[Run], scatter: Scatter, lin
         return last
     made = replace(made, orbits=made.orbits[: len(found.runs)])
     return Tried(last.lead, made, cost(made, last.mechanism))
+
+
+SHARE, PAYS = 0.2, 0.3
+"""Part of a slider's limit from which dry friction beside it is fitted; part of what the slider leaves beyond noise that
+it must remove."""
+
+
+def with_friction(found: Study, last: Tried, more: Sequence[Run], scatter: Scatter, lines: int = 300) -> Tried | None:
+    """Dry friction beside a slider on a spring, at its place, both fitted to the study's runs and to `more`; None where
+    the last law is no such slider or that removes little.
+
+    A joint slides in a part of its face at any load, while the rest sticks to a limit (Iwan 1966).
+    """
+    if last.mechanism != "stick-slip" or len(last.made.terms) > 1:
+        return None
+    p = np.zeros(N_P)
+    p[0] = SHARE * last.made.law(0)[0][1]
+    dry = Lead(last.spot, "coulomb-friction", p, 0.0)
+    runs = [*found.runs, *more]
+    chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
+    alone = Joint(found.engine, found.point, runs, last.made.terms, scatter, chosen)
+    joint = Joint(found.engine, found.point, runs, [*last.made.terms, dry.acting()], scatter, chosen)
+    x, laws = last.made.x[: last.made.n_base], last.made.x[last.made.n_base :]
+    start = np.concatenate([x, np.zeros(per_place(found.engine)), laws, p[:1]])
+    try:
+        before = fit(alone, last.made.x, [None] * len(runs), steps=3)
+        made = fit(joint, start, [None] * len(runs), steps=14, always=True)
+    except (EstimationError, np.linalg.LinAlgError):
+        return None
+    if before.objective - made.objective < PAYS * (before.objective - before.count):
+        return None
+    made = replace(made, orbits=made.orbits[: len(found.runs)])
+    return Tried(dry, made, cost(made, dry.mechanism))
 
 
 @dataclass(frozen=True, eq=False)
