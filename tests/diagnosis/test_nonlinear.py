@@ -5,12 +5,17 @@ import pytest
 
 from labnnum.diagnosis import diagnose, observe_all
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.bench import Bench, Study
 from labnnum.diagnosis.nonlinear.detect import signs
-from labnnum.diagnosis.nonlinear.joined import levels
+from labnnum.diagnosis.nonlinear.explore import engine_start
+from labnnum.diagnosis.nonlinear.fitting import fit
+from labnnum.diagnosis.nonlinear.joined import levels, with_friction
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 from labnnum.diagnosis.nonlinear.march import CODES
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.mechanisms.base import Place
 from labnnum.mechanisms.stick_slip import StickSlip
 from labnnum.nonlinear import Element, NonlinearSimulation, part_of_limit
@@ -256,3 +261,27 @@ def test_a_law_between_two_masses_is_located_named_and_measured(law, p, name, va
     page = str(levels_section(found).body)
     assert page.count("<svg") == len(OUTPUTS)
     assert "held out" in page
+
+
+@pytest.mark.parametrize("dry", [0.0, 3.0])
+def test_dry_friction_beside_a_slider_is_found_where_it_acts_and_only_there(dry):
+    structure, column = chain(), joint_23()
+    elements = [Element("jenkins", column, (400.0, 6.0)), *([Element("coulomb", column, (dry,))] if dry else [])]
+    seen = runs(elements, structure, levels=(9.0,), noise=0.05)
+    engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
+    run = tuple(o.run for o in seen)
+    calm = Bench(engine, engine.start(), run, Scatter(), ()).on(150)
+    base = fit(calm.joint([]), engine_start(calm.joint([])), [None] * len(run), steps=2)
+    p = np.zeros(10)
+    p[:2] = 400.0, 6.0
+    lead = Lead(Spot(Place("joint", "2", "3"), "x", column), "stick-slip", p, 0.0)
+    one = calm.direct((engine_start(calm.joint([])),), lead, 12, soften=False)
+    study = Study(engine, engine.start(), run, base, base, (one,), None, ())
+    found = with_friction(study, one, [], Scatter(), lines=150)
+    if not dry:
+        assert found is None
+        return
+    assert [t.mechanism for t in found.made.terms] == ["stick-slip", "coulomb-friction"]
+    assert found.made.law(0)[0] == pytest.approx([400.0, 6.0], rel=0.15)
+    assert found.made.law(1)[0] == pytest.approx([dry], rel=0.1)
+    assert found.made.data_part < 0.5 * one.made.data_part

@@ -58,9 +58,9 @@ def joined(found: Study, last: Tried, more: Sequence[Run], scatter: Scatter, lin
     return Tried(last.lead, made, cost(made, last.mechanism))
 
 
-SHARE, PAYS = 0.2, 0.3
+SHARE, PAYS, ENOUGH = 0.2, 0.3, 1.3
 """Part of a slider's limit from which dry friction beside it is fitted; part of what the slider leaves beyond noise that
-it must remove."""
+it must remove; chi-square per value below which the slider leaves nothing for it."""
 
 
 def with_friction(found: Study, last: Tried, more: Sequence[Run], scatter: Scatter, lines: int = 300) -> Tried | None:
@@ -81,7 +81,9 @@ def with_friction(found: Study, last: Tried, more: Sequence[Run], scatter: Scatt
     x, laws = last.made.x[: last.made.n_base], last.made.x[last.made.n_base :]
     start = np.concatenate([x, np.zeros(per_place(found.engine)), laws, p[:1]])
     try:
-        before = fit(alone, last.made.x, [None] * len(runs), steps=3)
+        before = fit(alone, last.made.x, [None] * len(runs), steps=14)
+        if before.data_part < ENOUGH * before.count:
+            return None
         made = fit(joint, start, [None] * len(runs), steps=14, always=True)
     except (EstimationError, np.linalg.LinAlgError):
         return None
