@@ -59,8 +59,8 @@ def joined(found: Study, last: Tried, more: Sequence[Run], scatter: Scatter, lin
 
 
 SHARE, PAYS, ENOUGH = 0.2, 0.3, 1.3
-"""Part of a slider's limit from which dry friction beside it is fitted; part of what the slider leaves beyond noise that
-it must remove; chi-square per value below which the slider leaves nothing for it."""
+"""Part of a slider's limit from which dry friction beside it is fitted; part of what the slider leaves beyond noise
+that it must remove; chi-square per value below which the slider leaves nothing for it."""
 
 
 def with_friction(found: Study, last: Tried, more: Sequence[Run], scatter: Scatter, lines: int = 300) -> Tried | None:
