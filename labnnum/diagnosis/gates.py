@@ -142,9 +142,12 @@ def beyond(clips: Sequence[str], observations: Sequence[Observation]) -> list[st
     return out
 
 
-HELD_BACK = {"hammer": 0.98, "random": 1.0}
+HELD_BACK = {"hammer": 0.98, "random": 1.0, "periodic": 0.995}
 """Growth of a clipped channel's peaks from a quieter run, of the others' in the middle, that it stays below. Peaks of
-hits follow their force; those of noise follow chance within some percent, and a rail holds back far more."""
+hits follow their force; those of noise follow chance within some percent, and a rail holds back far more. Those of
+periods follow the input where it is the same but for its size (`SAME_INPUT`)."""
+SAME_INPUT = 0.999
+"""Correlation of two inputs' spectra from which they are one."""
 
 
 def _as_free(name: str, clips: Sequence[str], observations: Sequence[Observation]) -> bool:
@@ -153,13 +156,23 @@ def _as_free(name: str, clips: Sequence[str], observations: Sequence[Observation
     loud = [o for c, o in known if c == name]
     quiet = [o for c, o in known if c != name]
     for high in loud:
-        for low in (o for o in quiet if o.level < high.level and o.kind == high.kind):
+        for low in (o for o in quiet if o.level < high.level and o.kind == high.kind and _same_input(o, high)):
             growth = {c: high.peaks[c] / low.peaks[c] for c in high.peaks if low.peaks.get(c)}
             others = [g for c, g in growth.items() if c != name]
             held = HELD_BACK[high.kind]
             if name in growth and len(others) >= 2 and growth[name] > held * float(np.median(others)):
                 return True
     return False
+
+
+def _same_input(low: Observation, high: Observation) -> bool:
+    """Whether two periodic runs have one input but for its size; other runs are compared as they are."""
+    if low.kind != "periodic":
+        return True
+    if low.run is None or high.run is None or low.run.u.size != high.run.u.size:
+        return False
+    a, b = low.run.u, high.run.u
+    return bool(abs(np.vdot(a, b)) > SAME_INPUT * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def change_of_rows(low: Frf, high: Frf) -> NDArray[np.float64] | None:

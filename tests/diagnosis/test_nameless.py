@@ -14,6 +14,7 @@ from labnnum.diagnosis.nonlinear.laws import SHAPES, TERMS, force_along
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.moved import moved
 from labnnum.diagnosis.nonlinear.prescribed import along
+from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import common, powers, scale_std
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.race import no_peak
@@ -175,6 +176,22 @@ def test_noise_on_a_rail_grows_no_more_than_the_others(peak, held):
     low = replace(_read(1.0, (1, 1, 1), 1.0, "random"), peaks={**others, name: 1.0})
     high = replace(_read(3.0, (1, 1.1, 1), 1.0, "random"), peaks={**{k: 3 * v for k, v in others.items()}, name: peak})
     assert bool(bent_channel([low, high])[1]) is held
+
+
+@pytest.mark.parametrize(("peak", "same", "held"), [(2.9, True, True), (3.0, True, False), (3.0, False, True)])
+def test_a_period_on_a_rail_grows_less_than_the_others(peak, same, held):
+    """Of one input, larger by three; of another one peaks say nothing."""
+    name, rng = OUTPUTS[1].name, np.random.default_rng(4)
+    others = {OUTPUTS[0].name: 1.0, OUTPUTS[2].name: 2.0, "f": 5.0}
+    a, b = (np.exp(2j * np.pi * rng.random(40)) for _ in range(2))
+    none = np.zeros((3, 40))
+    kept = (OUTPUTS[:3], FORCE, 1)
+    runs = [Run(40.0, 78, u, none + 0j, none, u != 0, 1.0, "run", *kept) for u in (a, 3 * a if same else b)]
+    low = replace(_read(1.0, (1, 1, 1), 1.0, "periodic"), peaks={**others, name: 1.0}, run=runs[0])
+    high = replace(
+        _read(3.0, (1, 1, 1), 1.0, "periodic"), peaks={**{k: 3 * v for k, v in others.items()}, name: peak}, run=runs[1]
+    )
+    assert bool(beyond(["", name], [low, high])[1]) is held
 
 
 def test_a_rail_is_where_all_loud_runs_end():
