@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, cost
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import LAWS
@@ -70,9 +71,7 @@ def further(
     best: Tried | None = None
     for lead in leads[: 1 if general else 2]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
-        m = per_place(engine)
-        base, laws = made.x[: made.n_base], made.x[made.n_base :]
-        x = np.concatenate([base, np.zeros(m), laws, lead.p[: lead.acting().n]])
+        x = with_one_more(made, lead, engine)
         start = [_with_one_more(o) for o in made.orbits]
         try:
             one = fit(more, x, start, steps=8)
@@ -97,7 +96,18 @@ one of them is a second slider, that has no spring."""
 def _again(lead: Lead, held: Sequence[Acting]) -> bool:
     """Whether a law of the same kind acts at the lead's place already: two of them say that it is neither."""
     here = [t.mechanism for t in held if np.array_equal(np.abs(t.column), np.abs(lead.spot.column))]
-    return lead.mechanism in here or (lead.mechanism in YIELDING and any(m in YIELDING for m in here))
+    return any(alike(lead.mechanism, m) for m in here)
+
+
+def alike(a: str, b: str) -> bool:
+    """Whether two laws at one place are of a kind."""
+    return a == b or (a in YIELDING and b in YIELDING)
+
+
+def with_one_more(made: Made, lead: Lead, engine: Engine) -> NDArray[np.float64]:
+    """The vector of a fit with one more law, whose place moves as the base says."""
+    base, laws = made.x[: made.n_base], made.x[made.n_base :]
+    return np.concatenate([base, np.zeros(per_place(engine)), laws, lead.p[: lead.acting().n]])
 
 
 def _with_one_more(o: Orbit | None) -> Orbit | None:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Study, Tried, cost
 from labnnum.diagnosis.nonlinear.fitting import fit
+from labnnum.diagnosis.nonlinear.further import with_one_more
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import filtered_run
 from labnnum.diagnosis.nonlinear.problem import Joint
-from labnnum.diagnosis.nonlinear.receptance import per_place
 from labnnum.diagnosis.nonlinear.records import stretch_of
 from labnnum.diagnosis.nonlinear.run import Run, resampled
 from labnnum.diagnosis.scatter import Scatter
@@ -78,8 +78,7 @@ def with_friction(found: Study, last: Tried, more: Sequence[Run], scatter: Scatt
     chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     alone = Joint(found.engine, found.point, runs, last.made.terms, scatter, chosen)
     joint = Joint(found.engine, found.point, runs, [*last.made.terms, dry.acting()], scatter, chosen)
-    x, laws = last.made.x[: last.made.n_base], last.made.x[last.made.n_base :]
-    start = np.concatenate([x, np.zeros(per_place(found.engine)), laws, p[:1]])
+    start = with_one_more(last.made, dry, found.engine)
     try:
         before = fit(alone, last.made.x, [None] * len(runs), steps=14)
         if before.data_part < ENOUGH * before.count:

@@ -338,30 +338,9 @@ def _solved(a, rhs, out):  # pragma: no cover - compiled
 
 @njit(cache=True, error_model="numpy")
 def march(
-    T,
-    W0,
-    W1,
-    w,
-    gz,
-    gv,
-    before,
-    seated,
-    stride,
-    source,
-    codes,
-    p,
-    x,
-    f,
-    memory,
-    forces,
-    motion,
-    X,
-    df,
-    dmem,
-    dp,
-    ds,
+    T, W0, W1, w, gz, gv, before, seated, stride, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds,
     dforces,
-):  # pragma: no cover - compiled
+):  # fmt: skip # pragma: no cover - compiled
     """Advance over all steps of `source` (n, k, 2); forces (n, k) and motion (n, k, 2) at the ends of the steps.
 
     T (4, m), W0 and W1 (2, m) transition and weights of each mode; w (k, m) motions; gz, gv (k, k) what a force

@@ -17,7 +17,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fits
 from labnnum.diagnosis.nonlinear.effort import TWO, spent, tired
 from labnnum.diagnosis.nonlinear.explore import LAWS, LONG, Prospect, engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
-from labnnum.diagnosis.nonlinear.further import YIELDING, needed
+from labnnum.diagnosis.nonlinear.further import alike, needed
 from labnnum.diagnosis.nonlinear.laws import SHAPES, candidates
 from labnnum.diagnosis.nonlinear.leads import companion_columns, law_column
 from labnnum.diagnosis.nonlinear.locate import (
@@ -345,7 +345,7 @@ def combined(background: Background, x: NDArray, a: Spot, b: Spot) -> list[Combi
     out: dict[tuple[str, str], Combined] = {}
     for i, j in combinations(range(len(rows)), 2):
         (p, first), (q, second) = rows[i], rows[j]
-        if p == q and (not one or _alike(first.mechanism, second.mechanism)):
+        if p == q and (not one or alike(first.mechanism, second.mechanism)):
             continue
         sizes = _sizes(gram, along, i, j)
         if sizes is None or not (_allowed(first, sizes[0]) and _allowed(second, sizes[1])):
@@ -386,11 +386,6 @@ def _sizes(gram: NDArray, along: NDArray, i: int, j: int) -> NDArray[np.float64]
     if not det > 1e-6 * a * b:
         return None
     return np.array([b * along[i] - c * along[j], a * along[j] - c * along[i]]) / det
-
-
-def _alike(a: str, b: str) -> bool:
-    """Whether two laws at one place are of a kind."""
-    return a == b or (a in YIELDING and b in YIELDING)
 
 
 def _allowed(lead: Lead, size: float) -> bool:
