@@ -142,15 +142,15 @@ def solved(a, left, right):  # pragma: no cover - compiled
             own[i, i] += 1.0
             rhs[i, :n_i] = left[i, :, f]
             rhs[i, n_i:] = right[:, i, f]
-        _eliminate(own, rhs)
+        eliminate(own, rhs)
         one[:, :, f] = rhs[:, :n_i]
         two[:, :, f] = rhs[:, n_i:]
     return one, two
 
 
 @njit(cache=True, error_model="numpy")
-def _eliminate(a, b):  # pragma: no cover - compiled
-    """Turns b into the solution x of a x = b, by elimination with the largest pivot of each column."""
+def eliminate(a, b):  # pragma: no cover - compiled
+    """Turns b into the solution x of a x = b, by elimination with the largest pivot of each column; a is used up."""
     k = a.shape[0]
     for p in range(k):
         best = p
@@ -169,11 +169,11 @@ def _eliminate(a, b):  # pragma: no cover - compiled
             for c in range(b.shape[1]):
                 b[i, c] -= ratio * b[p, c]
     for p in range(k - 1, -1, -1):
+        for j in range(p + 1, k):
+            for c in range(b.shape[1]):
+                b[p, c] -= a[p, j] * b[j, c]
         for c in range(b.shape[1]):
-            total = b[p, c]
-            for j in range(p + 1, k):
-                total -= a[p, j] * b[j, c]
-            b[p, c] = total / a[p, p]
+            b[p, c] /= a[p, p]
 
 
 @njit(cache=True, error_model="numpy")

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 from numba import njit
 
+from labnnum.diagnosis.sums import eliminate
 from labnnum.mechanisms.stick_slip import SLIDERS
 from labnnum.nonlinear import part_of_limit
 
@@ -309,34 +310,6 @@ def _tangents_on(X, df, T, V0, w, dsee):  # pragma: no cover - compiled
 
 
 @njit(cache=True, error_model="numpy")
-def _solved(a, rhs, out):  # pragma: no cover - compiled
-    """Out (k, t) with a (k, k) out = rhs, by elimination with the largest pivots; both are used up."""
-    k, nt = rhs.shape
-    for i in range(k):
-        best = i
-        for j in range(i + 1, k):
-            if abs(a[j, i]) > abs(a[best, i]):
-                best = j
-        if best != i:
-            for c in range(k):
-                a[i, c], a[best, c] = a[best, c], a[i, c]
-            for t in range(nt):
-                rhs[i, t], rhs[best, t] = rhs[best, t], rhs[i, t]
-        for j in range(i + 1, k):
-            part = a[j, i] / a[i, i]
-            for c in range(i + 1, k):
-                a[j, c] -= part * a[i, c]
-            for t in range(nt):
-                rhs[j, t] -= part * rhs[i, t]
-    for i in range(k - 1, -1, -1):
-        for j in range(i + 1, k):
-            for t in range(nt):
-                rhs[i, t] -= a[i, j] * out[j, t]
-        for t in range(nt):
-            out[i, t] = rhs[i, t] / a[i, i]
-
-
-@njit(cache=True, error_model="numpy")
 def march(
     T, W0, W1, w, gz, gv, before, seated, stride, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds,
     dforces,
@@ -504,7 +477,8 @@ def march(
                 for t in range(nt):
                     df[0, t] = rhs[0, t] / a[0, 0]
             else:
-                _solved(a, rhs, df)
+                eliminate(a, rhs)
+                df[:] = rhs
             for e in range(k):
                 for t in range(nt):
                     dforces[step, e, t] = df[e, t]
