@@ -168,7 +168,8 @@ def decide(
     if whole:
         linear, n_train = linearised_records(found, last.made, whole, scatter), len(whole)
     else:
-        linear, n_train = linearised(found, last.made, orbits, (*train, *test), scatter), len(train)
+        n_train = len(train)
+        linear = linearised(found, last.made, orbits, (*train, *test), scatter, known=n_train)
     gained = misfit < HALF * base.data_part / base.count and reason not in (UNCONFIRMED, USELESS)
     alternatives = _alternatives(best, rivals, limits)
     located = _located(found)

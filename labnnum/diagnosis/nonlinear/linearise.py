@@ -12,29 +12,41 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.bench import Study
 from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.lines import choose_lines
-from labnnum.diagnosis.nonlinear.problem import Joint
+from labnnum.diagnosis.nonlinear.orbit import Orbit
+from labnnum.diagnosis.nonlinear.problem import Joint, reduced
+from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.records import hits_of, stretch_of
+from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.recording import Recording
 
 
+LINES = 400
+"""Lines of a run that tell the ordinary errors of its sensors beside a law."""
+
+
 def linearised(
     found: Study, last: Made, orbits: Sequence[Any], observations: Sequence[Observation], scatter: Scatter,
-    lying: int | None = None,
+    lying: int | None = None, known: int | None = None,
 ) -> list[Observation]:  # fmt: skip
     """Observations whose FRFs lack what the nonlinear force adds, with what its model may have wrong as variance.
 
-    A channel that lies (`lying`) lies about that share too: there the factor goes by which the force changes the FRF.
+    What it adds is what the sensors read of it, with the gain and the shapes that the first `known` runs (all, if None)
+    show them to have. A channel that lies (`lying`) lies about that share too: there the factor goes by which the force
+    changes the FRF.
     """
     runs = [o.run for o in observations if o.run is not None]
-    none = [choose_lines(r, 2, scatter.floor) for r in runs]
-    joint = Joint(found.engine, found.point, runs, last.terms, scatter, none, whole=True)
+    some = [choose_lines(r, LINES, scatter.floor) for r in runs]
+    joint = Joint(found.engine, found.point, runs, last.terms, scatter, some, whole=True)
     made = joint.receptances(last.x)
+    errors = _errors(joint, last.x, orbits, known)
+    if lying is not None:
+        errors[lying] = 0.0
     out = []
     for o, run, orbit in zip(observations, joint.runs, orbits, strict=True):
         r = made[run.key]
-        share = r.lift * (r.h * orbit.force).sum(axis=1)
+        share = _share(joint, r, run, orbit, errors)
         at = np.searchsorted(run.frequency, o.frf.frequency - 1e-9)
         change = share[:, at] / run.u[at]
         made_less = _less(o, change)
@@ -43,6 +55,19 @@ def linearised(
             made_less = _scaled(o, made_less, lying, plain / (plain + change[lying]))
         out.append(made_less)
     return out
+
+
+def _errors(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], known: int | None = None) -> NDArray:
+    """Ordinary errors (n_out, n) of gains and shapes that the first `known` runs show, in standard deviations."""
+    first = slice(None, known)
+    seen = joint.over(first)
+    return reduced(*seen.parts(x, orbits[first]))[2]
+
+
+def _share(joint: Joint, r: Receptance, run: Run, orbit: Orbit, errors: NDArray) -> NDArray[np.complex128]:
+    """What a run's channels read (n_out, n_f) of the nonlinear force, gains and shapes having their errors."""
+    share = r.lift * (r.h * orbit.force).sum(axis=1)
+    return share + joint.misread(r, run, orbit, share, errors)
 
 
 def _scaled(o: Observation, less: Observation, row: int, factor: NDArray) -> Observation:
@@ -73,15 +98,15 @@ def linearised_records(
     out = []
     for o in whole:
         runs = hits_of(o) if o.kind == "hammer" else [stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)]
-        none = [choose_lines(r, 2, scatter.floor) for r in runs]
-        joint = Joint(found.engine, found.point, runs, last.terms, scatter, none, whole=True)
+        some = [choose_lines(r, LINES, scatter.floor) for r in runs]
+        joint = Joint(found.engine, found.point, runs, last.terms, scatter, some, whole=True)
         made = joint.receptances(last.x)
         orbits = joint.settle(last.x, [None] * len(runs), 12)
+        errors = _errors(joint, last.x, orbits)
         shares = []
         for run, orbit in zip(runs, orbits, strict=True):
             assert orbit is not None
-            r = made[run.key]
-            shares.append(r.lift * (r.h * orbit.force).sum(axis=1))
+            shares.append(_share(joint, made[run.key], run, orbit, errors))
         if o.kind == "hammer":
             n = min(r.u.size for r in runs)
             top, power = np.zeros((len(runs[0].outputs), n), complex), np.zeros(n)

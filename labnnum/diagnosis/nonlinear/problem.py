@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -183,6 +183,12 @@ class Joint:
         out.steady = [Steady(r, self.codes, s.fine) for r, s in zip(runs, self.steady, strict=True)]
         return out
 
+    def over(self, pick: slice) -> Joint:
+        """The same over some of the runs."""
+        out = copy(self)
+        out.runs, out.steady, out.lines = self.runs[pick], self.steady[pick], self.lines[pick]
+        return out
+
     # ---------------------------------------------------------------- pieces
 
     def laws(self, x: NDArray) -> NDArray[np.float64]:
@@ -256,6 +262,14 @@ class Joint:
             rest = (r.out[outside].T * r.load[outside]) @ r.d[outside][:, at] * (r.gain * run.u)[at] * lift[:, 0]
             others = np.concatenate([others, sc.remainder * rest[:, None], 0.3j * sc.remainder * rest[:, None]], axis=1)
         return np.concatenate([modal, 1j * (sc.complexity / sc.shape) * modal, higher, others], axis=1)
+
+    def misread(self, r: Receptance, run: Run, orbit: Orbit, share: NDArray, errors: NDArray) -> NDArray:
+        """What ordinary errors (n_out, n), in standard deviations, add to the `share` (n_out, n_lines) of the responses
+        that the nonlinear forces make.
+        """
+        silent = replace(run, u=np.zeros_like(run.u))
+        columns = self._nuisance(r, silent, orbit, r.lines, share)
+        return np.einsum("on,onf->of", errors, columns, optimize=True)
 
     @staticmethod
     def _real(a: NDArray) -> NDArray[np.float64]:
