@@ -53,8 +53,8 @@ def fit(
     them. Such a fit does not end either where a step gains little because it was a short one.
     """
     joint.exact = always or (exact and joint.n_base <= EXACT)
-    scale, low, high = joint.scale, joint.low, joint.high
-    x = np.clip(x, low, high)
+    scale = joint.scale
+    x, orbits, _ = _evened(joint, joint.begin(x), orbits)
     orbits = joint.settle(x, orbits, 14)
     damping, converged = 1e-3, False
     prior = (scale / joint.std) ** 2
@@ -80,8 +80,10 @@ def fit(
         if not moved:
             converged = True
             break
-        gain = value - after
-        x, orbits = trial, found
+        x, orbits, less = _evened(joint, trial, found)
+        if less:
+            orbits = joint.settle(x, orbits, 8)
+        gain = value - after + less
         if gain < max(tolerance * value, floor):
             stalled += 1
             if not always or damping < SHORT or stalled > STALLS:
@@ -117,6 +119,23 @@ def fit(
         int(r.size),
         converged,
     )
+
+
+EVEN = 0.3
+"""Fall of the price from which a law and the motions at its place are evened."""
+
+
+def _evened(
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]
+) -> tuple[NDArray, Sequence[Orbit | None], float]:  # fmt: skip
+    """The vector with what places and laws share put where it costs least, its steady states, and by how much less."""
+    if not joint.k:
+        return x, orbits, 0.0
+    even, factor = joint.evened(x)
+    less = joint.price(x) - joint.price(even)
+    if less < EVEN:
+        return x, orbits, 0.0
+    return joint.begin(even), joint.evened_orbits(orbits, factor), less
 
 
 def _model(

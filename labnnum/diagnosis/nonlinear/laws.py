@@ -23,6 +23,9 @@ class LawShape:
     law: str
     linear: int
     positive: bool
+    grows: tuple[int, ...]
+    """Powers with which each parameter grows where the motion is read larger and the force smaller by one factor, which
+    leaves what the law does to the structure as it was."""
     inner: tuple[str, ...] = ()
 
     @property
@@ -37,16 +40,16 @@ class LawShape:
 
 
 SHAPES: dict[str, LawShape] = {
-    "cubic-stiffness": LawShape("cubic", 1, False),
-    "quadratic-stiffness": LawShape("quadratic", 1, False),
-    "one-sided-gap": LawShape("one-sided-gap", 1, True, ("length",)),
-    "clearance": LawShape("clearance", 1, True, ("length",)),
-    "coulomb-friction": LawShape("coulomb", 1, True),
-    "quadratic-damping": LawShape("quadratic-damping", 1, True),
-    "stick-slip": LawShape("stick-slip", 1, True, ("slip",)),
-    "hysteresis": LawShape("hysteresis", 1, True, ("length", "power", "share")),
-    "general": LawShape("general", 10, False),
-    "sliders": LawShape("sliders", 1, True, ("slip", "share")),
+    "cubic-stiffness": LawShape("cubic", 1, False, (-4,)),
+    "quadratic-stiffness": LawShape("quadratic", 1, False, (-3,)),
+    "one-sided-gap": LawShape("one-sided-gap", 1, True, (-2, 1), ("length",)),
+    "clearance": LawShape("clearance", 1, True, (-2, 1), ("length",)),
+    "coulomb-friction": LawShape("coulomb", 1, True, (-1,)),
+    "quadratic-damping": LawShape("quadratic-damping", 1, True, (-3,)),
+    "stick-slip": LawShape("stick-slip", 1, True, (-2, -1), ("slip",)),
+    "hysteresis": LawShape("hysteresis", 1, True, (-2, 1, 0, 0), ("length", "power", "share")),
+    "general": LawShape("general", 10, False, (-3, -3, -4, -6, -3, -4, -4, -3, -3, -4)),
+    "sliders": LawShape("sliders", 1, True, (-2, -1, 0), ("slip", "share")),
 }
 """Mechanism id, or `sliders` for a stick-slip whose limits are spread, -> law."""
 NAMES = {"sliders": "stick-slip"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,25 @@ def parts_of(state: NDArray, m: int, k: int) -> tuple[NDArray, NDArray, NDArray]
         state[2 * m : 2 * m + k].copy(),
         state[2 * m + k :].reshape(k, -1).copy(),
     )
+
+
+def scaled(orbit: Orbit, factor: NDArray) -> Orbit:
+    """The orbit where each place's motions, and what laws remember of them, are `factor` (k,) times as large, its forces
+    as many times smaller.
+    """
+    less = 1.0 / factor
+    m, room = 2 * orbit.x.shape[1], orbit.memory.shape[1]
+    size = np.concatenate([np.ones(m), less, np.repeat(factor, room)])
+    turned = [
+        None if a is None or a.shape[0] != size.size else size[:, None] * a / size
+        for a in (orbit.floquet, orbit.inverse)
+    ]
+    motion = orbit.motion * factor[:, None] if orbit.motion.shape[1:] == (factor.size, 2) else orbit.motion
+    return replace(
+        orbit, f=orbit.f * less, memory=orbit.memory * factor[:, None], force=orbit.force * less[:, None],
+        time=orbit.time * less, motion=motion, floquet=turned[0], inverse=turned[1],
+        fed=None if orbit.fed is None else orbit.fed * less[:, None],
+    )  # fmt: skip
 
 
 def relative(change: NDArray, whole: NDArray) -> float:

@@ -14,8 +14,8 @@ from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.march import N_P
-from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
-from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
+from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit, scaled
+from labnnum.diagnosis.nonlinear.receptance import Base, Receptance, per_place
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.objective import frequency_spread
@@ -149,8 +149,9 @@ class Joint:
         high = np.concatenate([[p.upper for p in e.structure.parameters], wide])
         at = e.theta0.size + m
         high[at : at + m] = np.log(0.7)
-        held = self._unseen() if self.k else np.zeros(0, int)
-        low[held] = high[held] = self.x0[held]
+        self._wide = low.copy(), high.copy()
+        self._held = self._unseen() if self.k else np.zeros(0, int)
+        low[self._held] = high[self._held] = self.x0[self._held]
         low, high, scale = [low], [high], [np.ones(low.size)]
         for t in self.terms:
             size = np.abs(t.start[: t.n])
@@ -175,6 +176,12 @@ class Joint:
             scale.append(s)
         self.low, self.high, self.scale = np.concatenate(low), np.concatenate(high), np.concatenate(scale)
         self.used = (self.high > self.low)[self.n_base :]
+
+    def begin(self, x: NDArray) -> NDArray[np.float64]:
+        """The vector inside the bounds; what no line tells of stays where it is."""
+        held = self._held
+        self.low[held] = self.high[held] = np.clip(x[held], self._wide[0][held], self._wide[1][held])
+        return np.clip(x, self.low, self.high)
 
     def driven(self, runs: Sequence[Run]) -> Joint:
         """The same over runs with other inputs on the same lines; what was prepared of the base is shared."""
@@ -297,6 +304,40 @@ class Joint:
     def price(self, x: NDArray) -> float:
         """Of the parameters' distance from their priors."""
         return float(np.sum(((x - self.mean) / self.std) ** 2))
+
+    def evened(self, x: NDArray) -> tuple[NDArray, NDArray]:
+        """The vector with every place's motions as near to the model's as one factor brings them, its law changed so
+        that nothing else does; and these factors (k,).
+
+        A place that moves twice as far against half the force does the same to the structure, whatever the law. Only
+        the price of the motions tells how far it moves, along a valley that turns.
+        """
+        out, factor, m = x.copy(), np.ones(self.k), per_place(self.engine)
+        b = self.engine.band_modes
+        first = next(iter(self.bases.values()))
+        at = self.n_base
+        for i, t in enumerate(self.terms):
+            own = slice(self.n_base - (self.k - i) * m, self.n_base - (self.k - i - 1) * m)
+            law = slice(at, at + t.n)
+            at += t.n
+            if (self.low[own] == self.high[own]).all():
+                continue
+            shape = self.engine.state(x[: self.engine.theta0.size]).shape[:, b]
+            plain = np.append(first.columns[:, i] @ shape / first.w_typical[i], 1.0)
+            here, there = (plain + x[own]) / self.std[own], plain / self.std[own]
+            by = float(here @ there) / max(float(here @ here), 1e-300)
+            moved = by * (plain + x[own]) - plain
+            p = x[law] * by ** np.array(t.shape.grows[: t.n], float) if by > 0 else x[law]
+            inside = np.all((moved >= self._wide[0][own]) & (moved <= self._wide[1][own]))
+            if by <= 0 or not inside or not np.all((p >= self.low[law]) & (p <= self.high[law])):
+                continue
+            out[own], out[law], factor[i] = moved, p, by
+        return out, factor
+
+    @staticmethod
+    def evened_orbits(orbits: Sequence[Orbit | None], factor: NDArray) -> list[Orbit | None]:
+        """The steady states that go with motions so many times as large."""
+        return [None if o is None else scaled(o, factor) for o in orbits]
 
     def slopes(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, list[Orbit | None]]:
         """Derivatives of the whitened responses, (n_out, n_x, N), and the orbits marched once more."""
