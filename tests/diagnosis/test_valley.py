@@ -14,7 +14,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.receptance import Base, per_place
 from labnnum.diagnosis.nonlinear.study import FINE
-from labnnum.diagnosis.nonlinear.valley import PROMISE, _units, deepened
+from labnnum.diagnosis.nonlinear.valley import PROMISE, deepened
 from labnnum.diagnosis.observe import observe_all
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23
@@ -52,22 +52,22 @@ def test_at_the_bottom_nothing_is_promised(cubic):
     assert deepened(study_of(bench), one, bench.scatter) is one
 
 
+def motions_of(joint, factor):
+    """Motions at the place, `factor` times the model's, as entries of the vector."""
+    e, base = joint.engine, next(iter(joint.bases.values()))
+    plain = base.columns[:, 0] @ e.state(e.theta0).shape[:, e.band_modes] / base.w_typical[0]
+    return (factor - 1.0) * np.append(plain, 1.0)
+
+
 def test_a_law_whose_scale_the_motions_hold_is_given_it_back(cubic):
     bench, joint, one = cubic
     m, x = joint.engine.band_modes.size, one.made.x.copy()
-    motions = slice(joint.n_base - m - 1, joint.n_base)
-    x[motions] = 1.12 * (1.0 + x[motions]) - 1.0
-    x[joint.n_base] /= 1.12**4
-    bent = replace(one, made=replace(one.made, x=x))
-    straight = deepened(study_of(bench), bent, bench.scatter)
+    x[joint.n_base - m - 1 : joint.n_base] += motions_of(joint, 1.3)
+    x[joint.n_base] /= 1.3**4
+    straight = tried_fit(joint, x, [None] * len(bench.runs), one.lead, 2)
+    assert straight is not None
     assert straight.made.objective < one.made.objective + 3.0
     assert straight.made.law(0)[0] == pytest.approx(one.made.law(0)[0], rel=0.02)
-
-
-def test_units_of_rotations_are_left_alone():
-    assert _units("sliders")[:2] == ("N/m", "N")
-    assert _units("hysteresis")[:2] == ("N/m", "m")
-    assert _units("general") == ()
 
 
 @pytest.mark.parametrize("top", [3.0, 12.0])
@@ -87,3 +87,36 @@ def test_derivatives_to_all_that_a_fit_moves_at_a_place(top: float):
             finite = (a - b) / (2 * step[i])
             size = np.linalg.norm(finite) + 1e-6 * np.linalg.norm(a) / max(abs(x[i]), 1.0)
             assert np.linalg.norm(slope[i] - finite) < 1e-4 * size
+
+
+@pytest.mark.parametrize(
+    ("law", "p"),
+    [
+        ("cubic-stiffness", [STRENGTH]), ("quadratic-stiffness", [100.0]), ("one-sided-gap", [300.0, 0.002]),
+        ("clearance", [300.0, 0.002]), ("coulomb-friction", [1.0]), ("quadratic-damping", [50.0]),
+        ("stick-slip", [300.0, 2.0]), ("hysteresis", [300.0, 0.02, 1.2, 0.6]), ("sliders", [300.0, 2.0, 0.5]),
+        ("general", [100.0, 50.0, 1e3, 10.0, 5.0, 2.0, 3.0, 2.0, 1.0, 1.0]),
+    ],
+)  # fmt: skip
+def test_a_place_that_moves_more_against_less_force_does_the_same(cubic, law, p):
+    """To rounding, whatever the law: an evened vector leaves the responses as they were, and costs less."""
+    bench, _, one = cubic
+    lead = Lead(one.spot, law, np.append(p, np.zeros(N_P - len(p))), 0.0)
+    joint = bench.joint([lead])
+    m, x = joint.engine.band_modes.size, joint.start()
+    x[joint.n_base - m - 1 : joint.n_base] = motions_of(joint, 1.2)
+    x[joint.n_base - 2] += 0.01
+    even, factor = joint.evened(x)
+    assert factor[0] == pytest.approx(1 / 1.2, rel=0.02)
+    assert joint.price(even) < 0.1 * joint.price(x)
+    assert joint.evened(even)[1] == pytest.approx(1.0, abs=1e-9)
+    orbits = joint.settle(x, [None] * len(bench.runs), 6)
+    before, after = joint.predict(x, orbits), joint.predict(even, joint.evened_orbits(orbits, factor))
+    for a, b in zip(before, after, strict=True):
+        assert np.linalg.norm(a - b) < 1e-9 * np.linalg.norm(a)
+    settled = joint.settle(x, orbits, 1), joint.settle(even, joint.evened_orbits(orbits, factor), 1)
+    for o, s in zip(*settled, strict=True):
+        assert o is not None
+        assert s is not None
+        assert np.linalg.norm(o.force) > 0
+        assert np.linalg.norm(o.force - s.force * factor[0]) < 1e-6 * np.linalg.norm(o.force)

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.answer import Given, answer, parts_of
+from labnnum.diagnosis.nonlinear.bench import Study
 from labnnum.diagnosis.nonlinear.beside import (
     Beneath,
     added_to,
@@ -39,6 +41,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
+from labnnum.diagnosis.nonlinear.stuck import let_go
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
@@ -179,6 +182,9 @@ class _Whole:
                 second = self._above(under)
                 if quiet.named and (second is None or second.reason == UNCONFIRMED or _idle(second)):
                     return None  # with that in the model there is nothing nonlinear, or next to nothing
+        if not sure and second is not None and under is not None and dear(second):
+            loose = self._let_go(second, under)
+            second = loose if loose is not None and loose.named and total(loose) < total(second) else second
         if not sure and second is not None and better(second, NOISY):
             again = self._unsprung(second, under) if under is not None and _twice(second) else None
             second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
@@ -230,16 +236,12 @@ class _Whole:
 
     def _unsprung(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
         """The law without what its structure holds at the same place, from where both are; None where none is."""
-        last, engine = second.laws[-1].made, second.study.engine
-        n, more = self.engine.theta0.size, engine.theta0.size
-        if any(t.spot.column.size != self.engine.basis.shape[0] for t in second.laws):
+        last = second.laws[-1].made
+        made = _without(self.engine, second.study, last.x)
+        if made is None:
             return None
-        own, there = self.engine.band_modes, engine.band_modes
-        _, at, where = np.intersect1d(own, there, return_indices=True)
-        modes = np.stack([np.zeros(own.size), np.log(self.engine.zeta0[own]), np.zeros(own.size)])
-        modes[:, at] = last.x[more : more + 3 * there.size].reshape(3, -1)[:, where]
-        base = np.concatenate([last.x[:n], modes.ravel()])
-        held = dict(zip([t.place for t in _held(second)], last.x[n:more], strict=False))
+        base, values = made
+        held = dict(zip([t.place for t in _held(second)], values, strict=False))
         plain: list[Lead] = []
         stiffer: list[Lead] = []
         for i, t in enumerate(second.laws):
@@ -250,6 +252,16 @@ class _Whole:
             k = sum(v for place, v in held.items() if _same_place(place, t.spot.place))
             stiffer.append(replace(plain[-1], p=np.concatenate([[p[0] + k], p[1:]])))
         return self._with(under.faults, self.engine, given=Given((tuple(plain), tuple(stiffer)), base, NOISY))
+
+    def _let_go(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
+        """The law on the structure alone if each spring of the quietest level is a slider that holds there; None where
+        there is no such spring.
+        """
+        study, base = second.study, _without(self.engine, second.study, second.study.quiet.x)
+        if base is None:
+            return None
+        forms = let_go(study, _held(second), base[1], self.scatter)
+        return self._with(under.faults, self.engine, given=Given(forms, base[0], NOISY)) if forms else None
 
     def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
         """The law, sought once more where one that leaves too much, named or not, stands beside something linear that
@@ -447,6 +459,32 @@ def _twice(found: NonlinearAnswer | None) -> bool:
     it: a slider that sticks is a spring.
     """
     return found is not None and any(_same_place(t.place, n.place) for t in _held(found) for n in found.named)
+
+
+def _without(engine: Engine, study: Study, x: NDArray) -> tuple[NDArray, NDArray] | None:
+    """The base vector of an engine from that of a study whose structure holds mechanisms besides, and the parameters of
+    these; None where the two structures have other motions.
+    """
+    n, more, there = engine.theta0.size, study.engine.theta0.size, study.engine.band_modes
+    if study.engine.basis.shape[0] != engine.basis.shape[0]:
+        return None
+    own = engine.band_modes
+    _, at, where = np.intersect1d(own, there, return_indices=True)
+    modes = np.stack([np.zeros(own.size), np.log(engine.zeta0[own]), np.zeros(own.size)])
+    modes[:, at] = x[more : more + 3 * there.size].reshape(3, -1)[:, where]
+    return np.concatenate([x[:n], modes.ravel()]), x[n:more]
+
+
+def dear(second: NonlinearAnswer) -> bool:
+    """Whether a law stands beside something linear and the base pays more than a sound one all the same."""
+    last = second.laws[-1].made
+    return bool(_held(second)) and (not second.named or last.prior_part > STRAINED * last.n_base)
+
+
+def total(found: NonlinearAnswer) -> float:
+    """What a law leaves and costs, a value."""
+    last = found.laws[-1].made
+    return last.objective / last.count
 
 
 def _same_place(a: Place, b: Place) -> bool:

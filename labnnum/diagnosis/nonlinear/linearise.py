@@ -21,7 +21,6 @@ from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.recording import Recording
 
-
 LINES = 400
 """Lines of a run that tell the ordinary errors of its sensors beside a law."""
 

@@ -63,8 +63,8 @@ def parts_of(state: NDArray, m: int, k: int) -> tuple[NDArray, NDArray, NDArray]
 
 
 def scaled(orbit: Orbit, factor: NDArray) -> Orbit:
-    """The orbit where each place's motions, and what laws remember of them, are `factor` (k,) times as large, its forces
-    as many times smaller.
+    """The orbit where each place's motions, and what laws remember of them, are `factor` (k,) times as large, and its
+    forces as many times smaller.
     """
     less = 1.0 / factor
     m, room = 2 * orbit.x.shape[1], orbit.memory.shape[1]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
-from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
 from labnnum.diagnosis.nonlinear.fitting import reduced
-from labnnum.diagnosis.nonlinear.locate import Lead, Recovered
+from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot, recover
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import LADDER
@@ -84,6 +84,53 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
     near = [t for pair in begun if min(t.cost for t in pair) < NEAR * least for t in pair]
     near = sorted(near, key=lambda t: t.cost)[:ALONG]
     return sorted((bench.carry_on(t, steps, last=False) for t in near), key=lambda t: t.cost)
+
+
+COARSE = 160
+"""Lines of a run by which a motion is recovered."""
+LET_GO = (0.15, 0.4, 1.0)
+"""Limits of a slider that a spring of the quietest level may be, of its force at the RMS of the motion at the highest
+level."""
+
+
+def let_go(study: Study, held: Sequence[Term], values: NDArray, scatter: Scatter) -> tuple[tuple[Lead, ...], ...]:
+    """Sliders in several forms for springs that a structure holds because its quietest level shows them.
+
+    Parameters
+    ----------
+    held : sequence of Term
+        What the structure of the study's engine holds.
+    values : ndarray
+        Parameters of all of these, one after the other.
+    """
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(COARSE)
+    high = int(np.argmax([r.level for r in study.runs]))
+    out, at = [], 0
+    for term in held:
+        own = values[at : at + term.n]
+        at += term.n
+        spot = _spot_of(term, [q.spot for q in study.recovered])
+        if spot is None or own.size != 1 or own[0] <= 0:
+            continue
+        q = recover(bench.joint([]), study.quiet.x, study.point, spot)
+        motion = float(np.std(q.z[high]))
+        for part in LET_GO:
+            p = np.zeros(N_P)
+            p[:2] = own[0], part * own[0] * motion
+            out.append((Lead(spot, "stick-slip", p, q.gain),))
+    return tuple(out)
+
+
+def _spot_of(term: Term, spots: Sequence[Spot]) -> Spot | None:
+    """The spot whose motion a spring holds; None for what is no spring between two points or to the ground."""
+    if not (term.parameters and term.parameters[0].unit.startswith("N") and len(term.sought.groups) == 1):
+        return None
+    column = term.sought.groups[0].columns[:, 0]
+    for s in spots:
+        size = np.linalg.norm(s.column) * np.linalg.norm(column)
+        if s.column.shape == column.shape and abs(s.column @ column) > 0.99 * size:
+            return s
+    return None
 
 
 def _left(bench: Bench, x: NDArray, q: Recovered, k: float, limit: float) -> float:
