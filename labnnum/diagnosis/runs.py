@@ -31,14 +31,30 @@ def split_runs(observations: Sequence[Observation], held_out: Sequence[Observati
     return frf.at(~back), frf.at(back)
 
 
+CLEARER = 10.0
+"""Decibels of distortion over the noise by which one run of a level must be ahead of another to be fitted instead."""
+
+
 def kept_back(observations: Sequence[Observation]) -> set[int]:
-    """Numbers of the runs held out: the last of each level that was repeated, else the last run."""
+    """Numbers of the runs held out: the last of each level that was repeated, else the last run.
+
+    Where that one shows far more distortion than another of its level, the other is held out: a gap that one input
+    closes and another does not can only be told from the first.
+    """
     groups: dict[int, list[int]] = {}
     for i, o in enumerate(observations):
         key = round(10 * np.log10(o.level)) if np.isfinite(o.level) and o.level > 0 else 0
         groups.setdefault(key, []).append(i)
-    repeated = [g[-1] for g in groups.values() if len(g) > 1]
+    repeated = [_least(observations, g) for g in groups.values() if len(g) > 1]
     return set(repeated) if repeated else {len(observations) - 1}
+
+
+def _least(observations: Sequence[Observation], group: Sequence[int]) -> int:
+    """The last of a group, or the one that distorts least where it is far behind the last."""
+    kinds = ("odd_over_noise", "even_over_noise")
+    seen = [max(float(np.max(observations[i].distortion.get(k, 0.0))) for k in kinds) for i in group]
+    least = int(np.argmin(seen))
+    return group[least] if seen[least] < seen[-1] - CLEARER else group[-1]
 
 
 def nonlinear_signs(observations: Sequence[Observation]) -> dict[str, float | None]:

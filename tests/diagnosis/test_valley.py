@@ -10,6 +10,7 @@ import pytest
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Study, tried_fit
 from labnnum.diagnosis.nonlinear.fitting import promised
+from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.receptance import Base, per_place
@@ -120,3 +121,25 @@ def test_a_place_that_moves_more_against_less_force_does_the_same(cubic, law, p)
         assert s is not None
         assert np.linalg.norm(o.force) > 0
         assert np.linalg.norm(o.force - s.force * factor[0]) < 1e-6 * np.linalg.norm(o.force)
+
+
+def test_what_a_law_adds_to_an_frf_is_taken_off_as_its_sensor_reads_it():
+    """A gain 2 % too large reads the law's share too large as well: without that share all levels show one FRF."""
+    element = Element("cubic", joint_23(), (STRENGTH,))
+    gain = np.array([1.0, 1.0, 1.02, 1.0])[:, None]
+    made = [recorded(element, level) for level in (2.0, 8.0, 25.0)]
+    observations = observe_all([replace(r, data=gain * r.data) for r in made])
+    bench, _, every = bench_of(observations)
+    spot = next(s for s in every if {s.place.id, s.place.to} == {"2", "3"})
+    bench = bench.on(FINE)
+    lead = Lead(spot, "cubic-stiffness", np.append(STRENGTH, np.zeros(N_P - 1)), 0.0)
+    joint = bench.joint_of([replace(lead.acting(), last=True)])
+    fitted = tried_fit(joint, joint.start(), [None] * len(bench.runs), lead, 12)
+    assert fitted is not None
+    last = fitted.made
+    linear = linearised(study_of(bench), last, last.orbits, observations, bench.scatter)
+    low, high = (linear[i].frf.value[1, 0] for i in (0, 2))
+    before = [observations[i].frf.value[1, 0] for i in (0, 2)]
+    changed = np.linalg.norm(before[1] - before[0])
+    assert changed > 0.25 * np.linalg.norm(before[0])
+    assert np.linalg.norm(high - low) < 0.004 * changed  # 2 % with the gain forgotten

@@ -1,0 +1,36 @@
+"""Which runs are fitted and which are held out."""
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.runs import CLEARER, kept_back
+from labnnum.frf import Frf
+from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS
+
+
+def seen(level, odd, even=0.0):
+    """A run that distorts by so many decibels over the noise at the response where it does so most."""
+    frf = Frf(np.arange(1.0, 9.0), np.ones((1, 1, 8), complex), OUTPUTS[:1], (FORCE,))
+    distortion = {"odd_over_noise": np.array([-1.0, odd]), "even_over_noise": np.array([even, -2.0])}
+    return Observation(frf, level, "run", "periodic", distortion)
+
+
+@pytest.mark.parametrize(
+    ("odd", "even", "kept"),
+    [
+        ((0.0, 0.3), (0.2, 0.0), 1),
+        ((25.0, 30.0), (0.0, 0.0), 1),  # both show it
+        ((6.0, 39.0), (11.0, 20.0), 0),  # only the last closes the gap: it is fitted
+        ((39.0, 6.0), (0.0, 0.0), 1),
+        ((0.0, CLEARER - 0.5), (0.0, 0.0), 1),
+    ],
+)
+def test_the_last_of_a_level_is_held_out_unless_it_alone_shows_the_law(odd, even, kept):
+    quiet = [seen(1.0, 0.0), seen(1.0, 0.1)]
+    loud = [seen(10.0, o, e) for o, e in zip(odd, even, strict=True)]
+    assert kept_back([*quiet, *loud]) == {1, 2 + kept}
+
+
+def test_without_a_repetition_the_last_run_is_held_out():
+    assert kept_back([seen(1.0, 0.0), seen(3.0, 0.0), seen(9.0, 40.0)]) == {2}
