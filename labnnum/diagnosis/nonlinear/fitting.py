@@ -13,6 +13,7 @@ from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
 from labnnum.diagnosis.nonlinear.receptance import per_place
 from labnnum.errors import EstimationError, ModelError
+from labnnum.structures.modal import ModalStructure
 
 SHORT, STALLS = 0.03, 2
 """Damping from which on a step is a short one, and how often such a step may gain little before a fit ends."""
@@ -128,8 +129,11 @@ EVEN = 0.3
 def _evened(
     joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]
 ) -> tuple[NDArray, Sequence[Orbit | None], float]:  # fmt: skip
-    """The vector with what places and laws share put where it costs least, its steady states, and by how much less."""
-    if not joint.k:
+    """The vector with what places and laws share put where it costs least, its steady states, and by how much less.
+
+    Not of an identified base, whose motions at a place are often on their bounds: then their scale is not free.
+    """
+    if not joint.k or isinstance(joint.engine.structure, ModalStructure):
         return x, orbits, 0.0
     even, factor = joint.evened(x)
     less = joint.price(x) - joint.price(even)
