@@ -9,11 +9,15 @@ import pytest
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Study, tried_fit
+from labnnum.diagnosis.nonlinear.decision import MECHANISMS
 from labnnum.diagnosis.nonlinear.fitting import promised
+from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.nonlinear.orbit import scaled
 from labnnum.diagnosis.nonlinear.receptance import Base, per_place
+from labnnum.diagnosis.nonlinear.scales import powers
 from labnnum.diagnosis.nonlinear.study import FINE
 from labnnum.diagnosis.nonlinear.valley import PROMISE, deepened
 from labnnum.diagnosis.observe import observe_all
@@ -71,6 +75,15 @@ def test_a_law_whose_scale_the_motions_hold_is_given_it_back(cubic):
     assert straight.made.law(0)[0] == pytest.approx(one.made.law(0)[0], rel=0.02)
 
 
+def test_powers_of_a_law_s_parameters_are_those_of_their_units():
+    """N^a m^b grows by b - a where motions grow and forces fall."""
+    for law, shape in SHAPES.items():
+        if law != "general":
+            units = MECHANISMS[NAMES.get(law, law)].units
+            dimensions = [powers(u) for u in units[: len(shape.names)]]
+            assert shape.grows == tuple(motion - force for force, motion in dimensions)
+
+
 @pytest.mark.parametrize("top", [3.0, 12.0])
 def test_derivatives_to_all_that_a_fit_moves_at_a_place(top: float):
     """Against central differences, with modes above the band that move more at two places than they should."""
@@ -112,10 +125,10 @@ def test_a_place_that_moves_more_against_less_force_does_the_same(cubic, law, p)
     assert joint.price(even) < 0.1 * joint.price(x)
     assert joint.evened(even)[1] == pytest.approx(1.0, abs=1e-9)
     orbits = joint.settle(x, [None] * len(bench.runs), 6)
-    before, after = joint.predict(x, orbits), joint.predict(even, joint.evened_orbits(orbits, factor))
+    before, after = joint.predict(x, orbits), joint.predict(even, [scaled(o, factor) for o in orbits])
     for a, b in zip(before, after, strict=True):
         assert np.linalg.norm(a - b) < 1e-9 * np.linalg.norm(a)
-    settled = joint.settle(x, orbits, 1), joint.settle(even, joint.evened_orbits(orbits, factor), 1)
+    settled = joint.settle(x, orbits, 1), joint.settle(even, [scaled(o, factor) for o in orbits], 1)
     for o, s in zip(*settled, strict=True):
         assert o is not None
         assert s is not None

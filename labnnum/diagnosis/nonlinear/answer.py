@@ -312,7 +312,7 @@ class _Search:
         made = self.decided(done)
         if done is None or made is None:
             return None
-        every = linearised(done[0], made.laws[-1].made, made.orbits, believed, self.scatter, channel)
+        every = linearised(done[0], made.laws[-1].made, made.orbits, believed, self.scatter, channel, n)
         return replace(made, lying=channel, linearised=tuple(every[:n]), linearised_held_out=tuple(every[n:]))
 
 

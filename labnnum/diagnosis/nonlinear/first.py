@@ -182,9 +182,9 @@ class _Whole:
                 second = self._above(under)
                 if quiet.named and (second is None or second.reason == UNCONFIRMED or _idle(second)):
                     return None  # with that in the model there is nothing nonlinear, or next to nothing
-        if not sure and second is not None and under is not None and dear(second):
+        if not sure and second is not None and under is not None and _dear(second):
             loose = self._let_go(second, under)
-            second = loose if loose is not None and loose.named and total(loose) < total(second) else second
+            second = loose if loose is not None and loose.named and _total(loose) < _total(second) else second
         if not sure and second is not None and better(second, NOISY):
             again = self._unsprung(second, under) if under is not None and _twice(second) else None
             second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
@@ -475,13 +475,13 @@ def _without(engine: Engine, study: Study, x: NDArray) -> tuple[NDArray, NDArray
     return np.concatenate([x[:n], modes.ravel()]), x[n:more]
 
 
-def dear(second: NonlinearAnswer) -> bool:
+def _dear(second: NonlinearAnswer) -> bool:
     """Whether a law stands beside something linear and the base pays more than a sound one all the same."""
     last = second.laws[-1].made
     return bool(_held(second)) and (not second.named or last.prior_part > STRAINED * last.n_base)
 
 
-def total(found: NonlinearAnswer) -> float:
+def _total(found: NonlinearAnswer) -> float:
     """What a law leaves and costs, a value."""
     last = found.laws[-1].made
     return last.objective / last.count

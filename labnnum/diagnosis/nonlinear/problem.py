@@ -14,7 +14,7 @@ from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.march import N_P
-from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit, scaled
+from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance, per_place
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
@@ -313,8 +313,8 @@ class Joint:
         the price of the motions tells how far it moves, along a valley that turns.
         """
         out, factor, m = x.copy(), np.ones(self.k), per_place(self.engine)
-        b = self.engine.band_modes
-        first = next(iter(self.bases.values()))
+        first, e = next(iter(self.bases.values())), self.engine
+        shape = e.state(x[: e.theta0.size]).shape[:, e.band_modes]
         at = self.n_base
         for i, t in enumerate(self.terms):
             own = slice(self.n_base - (self.k - i) * m, self.n_base - (self.k - i - 1) * m)
@@ -322,7 +322,6 @@ class Joint:
             at += t.n
             if (self.low[own] == self.high[own]).all():
                 continue
-            shape = self.engine.state(x[: self.engine.theta0.size]).shape[:, b]
             plain = np.append(first.columns[:, i] @ shape / first.w_typical[i], 1.0)
             here, there = (plain + x[own]) / self.std[own], plain / self.std[own]
             by = float(here @ there) / max(float(here @ here), 1e-300)
@@ -333,11 +332,6 @@ class Joint:
                 continue
             out[own], out[law], factor[i] = moved, p, by
         return out, factor
-
-    @staticmethod
-    def evened_orbits(orbits: Sequence[Orbit | None], factor: NDArray) -> list[Orbit | None]:
-        """The steady states that go with motions so many times as large."""
-        return [None if o is None else scaled(o, factor) for o in orbits]
 
     def slopes(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, list[Orbit | None]]:
         """Derivatives of the whitened responses, (n_out, n_x, N), and the orbits marched once more."""

@@ -123,7 +123,7 @@ def let_go(study: Study, held: Sequence[Term], values: NDArray, scatter: Scatter
 
 def _spot_of(term: Term, spots: Sequence[Spot]) -> Spot | None:
     """The spot whose motion a spring holds; None for what is no spring between two points or to the ground."""
-    if not (term.parameters and term.parameters[0].unit.startswith("N") and len(term.sought.groups) == 1):
+    if len(term.sought.groups) != 1 or not isinstance(term.sought.groups[0].law, Spring):
         return None
     column = term.sought.groups[0].columns[:, 0]
     for s in spots:
