@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from labnnum.diagnosis import Diagnosis
 from labnnum.diagnosis.nonlinear.decision import KNOWN
@@ -39,7 +40,10 @@ def nonlinear_section(d: Diagnosis) -> Section | None:
             "The force that the base model lacks at the place, recovered line by line from the responses, against the"
             " motion and the speed there. A law without memory is one line; a loop is friction or hysteresis."
         )
-        body += figure(restoring_figure(d), "Dots: recovered. Line: the best law along the same motion.")
+        body += figure(
+            restoring_figure(d),
+            "Dark: recovered. Blue: the best law along the same motion, a line where it is a function of it.",
+        )
     return Section("nonlinear", "Nonlinear physics", body)
 
 
@@ -136,20 +140,41 @@ def _db(x: float | None) -> str:
     return "no detection lines" if x is None else f"{x:.1f} dB under the excited lines"
 
 
+MOVING, TURNING = ("motion, m", "speed, m/s", "force, N"), ("rotation, rad", "rate, rad/s", "moment, N m")
+"""What stands along the axes where a place moves, and where it turns."""
+
+
 def restoring_figure(d: Diagnosis) -> str:
     """SVG: restoring force against displacement and velocity, a row a level."""
-    curves = d.detail["nonlinear"].curves
+    found = d.detail["nonlinear"]
+    turns = found.laws[0].spot.axis.lstrip("-").startswith("r")
+    motion, speed, force = TURNING if turns else MOVING
+
     with matplotlib.rc_context(_STYLE):
-        fig = Figure(figsize=(7.5, 2.3 * len(curves) + 0.4))
-        axes = np.atleast_2d(fig.subplots(len(curves), 2))
-        for row, c in zip(axes, curves, strict=True):
-            for ax, x, name in ((row[0], c.z, "motion, m"), (row[1], c.v, "speed, m/s")):
+        fig = Figure(figsize=(7.5, 2.3 * len(found.curves) + 0.4))
+        axes = np.atleast_2d(fig.subplots(len(found.curves), 2))
+        for row, c in zip(axes, found.curves, strict=True):
+            for ax, x, name in ((row[0], c.z, motion), (row[1], c.v, speed)):
                 ax.plot(x, c.force, ".", ms=1.2, color=MEASURED, alpha=0.5, rasterized=True)
                 order = np.argsort(x)
-                style = {"color": AFTER, "lw": 1.2} if ax is row[0] else {"color": AFTER, "ls": "", "marker": "."}
-                ax.plot(x[order], c.law[order], **style, markersize=0.8)
+                line = one_line(c.law[order])
+                style = {"lw": 1.2} if line else {"ls": "", "marker": ".", "rasterized": True}
+                ax.plot(x[order], c.law[order], color=AFTER, markersize=0.8, **style)
                 ax.set_xlabel(name)
-            row[0].set_ylabel("force, N")
+            row[0].set_ylabel(force)
             row[0].set_title(f"input {c.level:.3g} RMS", fontsize=8)
         fig.tight_layout()
         return svg(fig)
+
+
+WAY = 8.0
+"""Way up and down along an axis, of its range, beyond which a law is no function of what is drawn there."""
+
+
+def one_line(law: NDArray[np.float64]) -> bool:
+    """Whether a law's forces (n,), ordered by motion or by speed, are a function of it: else they jump to and fro.
+
+    >>> one_line(np.linspace(-1, 1, 50) ** 3), one_line(np.tile([-1.0, 1.0], 25))
+    (True, False)
+    """
+    return bool(np.sum(np.abs(np.diff(law))) <= WAY * np.ptp(law))

@@ -13,11 +13,12 @@ from labnnum.diagnosis.nonlinear.decision import MECHANISMS
 from labnnum.diagnosis.nonlinear.fitting import promised
 from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.linearise import linearised
-from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.locate import Lead, recover
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.orbit import scaled
 from labnnum.diagnosis.nonlinear.receptance import Base, per_place
 from labnnum.diagnosis.nonlinear.scales import powers
+from labnnum.diagnosis.nonlinear.shown import curves
 from labnnum.diagnosis.nonlinear.study import FINE
 from labnnum.diagnosis.nonlinear.valley import PROMISE, deepened
 from labnnum.diagnosis.observe import observe_all
@@ -45,8 +46,8 @@ def cubic():
     return bench, joint, made
 
 
-def study_of(bench):
-    return cast(Study, SimpleNamespace(engine=bench.engine, point=bench.point, runs=bench.runs))
+def study_of(bench, **more):
+    return cast(Study, SimpleNamespace(engine=bench.engine, point=bench.point, runs=bench.runs, **more))
 
 
 def test_at_the_bottom_nothing_is_promised(cubic):
@@ -156,3 +157,16 @@ def test_what_a_law_adds_to_an_frf_is_taken_off_as_its_sensor_reads_it():
     changed = np.linalg.norm(before[1] - before[0])
     assert changed > 0.25 * np.linalg.norm(before[0])
     assert np.linalg.norm(high - low) < 0.004 * changed  # 2 % with the gain forgotten
+
+
+def test_the_force_is_drawn_as_the_last_base_shows_it(cubic):
+    """Through a base 1 % too stiff, as one that was fitted without the law may be, it is another force."""
+    bench, _, one = cubic
+    x, n = one.made.x[: one.made.bare].copy(), bench.engine.theta0.size
+    x[n : n + bench.engine.band_modes.size] += 0.01
+    seen = recover(bench.joint([]), x, bench.point, one.spot)
+    study = study_of(bench, recovered=(seen,))
+    wrong, right = curves(study, one)[-1], curves(study, one, one.made, bench.scatter)[-1]
+    off, near = (np.linalg.norm(c.force - c.law) / np.linalg.norm(c.law) for c in (wrong, right))
+    assert near < 0.3
+    assert near < 0.5 * off

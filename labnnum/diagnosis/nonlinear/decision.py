@@ -177,9 +177,9 @@ def decide(
         located = tuple((t.spot.place, t.share) for t in timed[:10])
     return NonlinearAnswer(
         names, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
-        tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best), found, tuple(laws), misfit, plain,
-        noise, extended_error, gained, tuple(orbits), held_out=tuple(o.run for o in test if o.run is not None),
-        scatter=scatter,
+        tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best, last.made, scatter), found, tuple(laws),
+        misfit, plain, noise, extended_error, gained, tuple(orbits), scatter=scatter,
+        held_out=tuple(o.run for o in test if o.run is not None),
     )  # fmt: skip
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.bench import Study, Tried
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
+from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.laws import force_along
+from labnnum.diagnosis.nonlinear.locate import Recovered, recover
+from labnnum.diagnosis.nonlinear.march import N_P
+from labnnum.diagnosis.scatter import Scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,19 +26,43 @@ class Curve:
     law: NDArray[np.float64]
 
 
-def curves(found: Study, best: Tried) -> tuple[Curve, ...]:
-    """Force recovered from the measurement and the law along the motion, at the best place, thinned for drawing."""
+def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter | None = None) -> tuple[Curve, ...]:
+    """Force recovered from the measurement and the law along the motion, at the best place, thinned for drawing.
+
+    Recovered through the base of the `last` fit, beside its other laws, where one is given: a base that was fitted
+    without the law may hold a part of it.
+    """
     here = best.spot.place, best.spot.axis.lstrip("-")
-    mine = next((q for q in found.recovered if (q.spot.place, q.spot.axis) == here), None)
-    if mine is None:
+    seen = next((q for q in found.recovered if (q.spot.place, q.spot.axis) == here), None)
+    if seen is None:
         return ()
     sign = -1.0 if best.spot.axis.startswith("-") else 1.0
-    p, _ = best.made.law(0)
-    full = np.zeros(10)
+    term, p = best.made.terms[0], best.made.law(0)[0]
+    same = [i for i, t in enumerate(() if last is None else last.terms) if t.mechanism == term.mechanism and
+            abs(t.column @ term.column) > 0.999 * np.linalg.norm(t.column) * np.linalg.norm(term.column)]  # fmt: skip
+    if last is not None and scatter is not None and same:
+        p, seen = last.law(same[0])[0], _beside(found, last, same[0], seen, scatter)
+    full = np.zeros(N_P)
     full[: p.size] = p
     out = []
-    for run, z, v, f in zip(found.runs, mine.z, mine.v, mine.f, strict=True):
-        law = force_along(best.made.terms[0].shape, sign * z, sign * v, full) * sign
+    for run, z, v, f in zip(found.runs, seen.z, seen.v, seen.f, strict=True):
+        law = force_along(term.shape, sign * z, sign * v, full) * sign
         pick = slice(0, None, max(z.size // 3000, 1))
         out.append(Curve(run.level, z[pick], v[pick], -f[pick], law[pick]))
     return tuple(out)
+
+
+def _beside(found: Study, last: Made, own: int, seen: Recovered, scatter: Scatter) -> Recovered:
+    """The force at the spot of law `own` as the base of the last fit shows it, the other laws' forces known."""
+    others = [i for i in range(len(last.terms)) if i != own]
+    motions = last.x[last.bare : last.n_base].reshape(len(last.terms), -1)
+    x = np.concatenate([last.x[: last.bare], motions[others].ravel()])
+    orbits = None
+    if others:
+        orbits = [None if o is None else replace(o, force=o.force[others]) for o in last.orbits[: len(found.runs)]]
+    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(FEW)
+    return recover(bench.joint_of([last.terms[i] for i in others]), x, found.point, seen.spot, orbits)
+
+
+FEW = 2
+"""Lines of a run in an objective that only lends its base."""
