@@ -44,7 +44,7 @@ def _found(d: Diagnosis) -> str:
     if d.verdict == "unexplained":
         where = f" at {d.place}" if d.place else ""
         why = d.detail.get("reason") or "no mechanism of the catalogue explains it"
-        return f"Something is missing{where}, and the data do not give it a name: {why}."
+        return f"Something is missing{where}, and the data do not give it a name: {why}.{_equal(d)}"
     parts = []
     for n in d.named:
         sense = n.term.mechanism.sense(n.term, n.value)
@@ -63,8 +63,21 @@ def _found(d: Diagnosis) -> str:
         )
     return (
         f"{'; and '.join(parts)}.{told} The held-out error falls from {_percent(d.base_error[1])} to"
-        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)}).{_beside(d)}"
+        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)}).{_equal(d)}{_beside(d)}"
     )
+
+
+def _equal(d: Diagnosis) -> str:
+    """Places that nothing measured tells from that of a nonlinear law."""
+    found = d.detail.get("nonlinear")
+    laws = [n.place for n in d.named if n.term.mechanism.domain == "nonlinear"]
+    place = laws[0] if laws else d.place
+    if found is None or not found.equal or place is None or place != found.laws[0].spot.place:
+        return ""
+    *most, last = (str(p) for p in found.equal)
+    others = f"{', '.join(most)} and {last}" if most else last
+    verb = "move" if most else "moves"
+    return f" In the modes of the band {others} {verb} as {place} does: no measurement there tells which of them it is."
 
 
 MUCH = 3.0

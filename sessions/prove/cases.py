@@ -17,8 +17,8 @@ from sessions.prove.truth.channels import CHANNEL
 from sessions.prove.truth.nonlinear import NONLINEAR, OUTSIDE_LAWS
 from sessions.prove.truth.outside import OUTSIDE, outside_possible
 from sessions.prove.truth.physics import STRUCTURAL, band, drift, possible, thickness
-from sessions.prove.truth.session import Plan, Run, draw_plan, record
-from sessions.prove.truth.state import State, sound
+from sessions.prove.truth.session import Plan, Run, draw_plan, holding, record
+from sessions.prove.truth.state import Fault, State, sound
 
 LAWS = {**NONLINEAR, **OUTSIDE_LAWS}
 MAKERS = {**STRUCTURAL, **CHANNEL, "drift": drift, **OUTSIDE, **LAWS}
@@ -50,7 +50,7 @@ class Case:
             "kind": self.state.bench.kind,
             "excitation": self.plan.excitation,
             "model": self.state.bench.kind.split("-")[-1] if self.native else "matrices",
-            "faults": [asdict(f) for f in self.state.faults],
+            "faults": [asdict(f) for f in self.told],
             "theta": self.state.bench.theta,
             "sensors": len(self.state.bench.sensors),
             "elements": [list(e) for e in self.state.bench.elements],
@@ -58,6 +58,19 @@ class Case:
             "band": list(band(self.state)),
             "snr_db": self.plan.snr,
         }
+
+    @property
+    def told(self) -> tuple[Fault, ...]:
+        """The faults, with what no measurement of this session tells from a slider that it never makes slip."""
+        rng = streams(self.seed, self.state.bench.kind)[2]
+        holds = iter(holding(rng, self.state, draw_plan(rng, self.state, self.plan.excitation)))
+        return tuple(_held(f) if f.mechanism in LAWS and next(holds) else f for f in self.state.faults)
+
+
+def _held(fault: Fault) -> Fault:
+    """A slider that never slips: a spring at its place."""
+    spring = "ground-stiffness" if fault.place["kind"] == "ground" else "joint-stiffness"
+    return replace(fault, accept=(*fault.accept, (spring, fault.place)))
 
 
 def streams(seed: int, kind: str) -> list[Generator]:

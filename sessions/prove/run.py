@@ -52,7 +52,7 @@ def start(order: Order) -> tuple[tuple[Ticket, ...], str]:
     if order.jobs < 1:
         raise ConfigError(f"--jobs {order.jobs} must be at least 1")
     tickets = draw(order.cases, order.seed, order.suite)
-    return tickets, seal.seal(order.out, order.suite, order.seed, tickets)
+    return tickets, seal.seal(order.out, order.suite, order.seed, tickets, order.jobs)
 
 
 def write_all(order: Order, tickets: Sequence[Ticket], step: Step = quiet) -> None:

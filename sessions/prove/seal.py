@@ -9,15 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from labnnum.errors import ConfigError, FileError
+from sessions.prove.jobs import each
 from sessions.prove.suite import Ticket
 
 SCHEMA = 1
 NAME = "truth.json"
 
 
-def text(suite: str, seed: int, tickets: Sequence[Ticket]) -> str:
+def text(suite: str, seed: int, tickets: Sequence[Ticket], jobs: int = 1) -> str:
     """The sealed file's text: the same for the same suite, seed and number of cases."""
-    head = {"schema": SCHEMA, "suite": suite, "seed": seed, "cases": [t.truth() for t in tickets]}
+    known = {ticket.name: truth for ticket, truth in each(Ticket.truth, tickets, jobs)}
+    head = {"schema": SCHEMA, "suite": suite, "seed": seed, "cases": [known[t.name] for t in tickets]}
     return json.dumps(_rounded(head), indent=1, sort_keys=True) + "\n"
 
 
@@ -30,7 +32,7 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.9g}") if isinstance(value, float) else value
 
 
-def seal(folder: Path, suite: str, seed: int, tickets: Sequence[Ticket]) -> str:
+def seal(folder: Path, suite: str, seed: int, tickets: Sequence[Ticket], jobs: int = 1) -> str:
     """Write the sealed file into `folder` (or find the same one there) and return its SHA-256.
 
     Raises
@@ -38,7 +40,7 @@ def seal(folder: Path, suite: str, seed: int, tickets: Sequence[Ticket]) -> str:
     ConfigError
         If `folder` already holds the truth of another suite.
     """
-    content = text(suite, seed, tickets).encode("utf-8")
+    content = text(suite, seed, tickets, jobs).encode("utf-8")
     path = folder / NAME
     if path.exists():
         if path.read_bytes() != content:

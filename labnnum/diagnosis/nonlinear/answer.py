@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.alike import Equals, distinct
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
 from labnnum.diagnosis.nonlinear.chain import laws_of, rivals
 from labnnum.diagnosis.nonlinear.company import beside_others
@@ -169,6 +170,7 @@ class _Search:
         self.calm = quietest(self.runs)
         self.point = base_point(engine, self.train[self.calm], scatter, span)
         self.every: list[Spot] = []
+        self.equal: Equals = {}
         self.timed: list[Timed] = []
         self.deep: list[Made] = []
 
@@ -182,8 +184,9 @@ class _Search:
         return replace(made, named=(), place=None, reason=KNOWN)
 
     def look_around(self, places: Places) -> None:
-        """The places where a law may act, by the timing of distortion where that tells."""
-        self.every = spots(self.engine, self.engine.site(places.nodes, places.elements, places.supports))
+        """The places where a law may act, one of those that move alike; by the timing of distortion if that tells."""
+        every = spots(self.engine, self.engine.site(places.nodes, places.elements, places.supports))
+        self.every, self.equal = (every, {}) if self.identified else distinct(self.engine, every)
         self.timed = timing(self.train, self.every) if self.nearly else []
         if told(self.timed, self.limits):
             self.every = [s for s in self.every if s.place == self.timed[0].spot.place]
@@ -274,7 +277,7 @@ class _Search:
 
     def place_alone(self, seen: Prospect) -> NonlinearAnswer:
         """The answer where no law is simulated."""
-        return unsimulated(seen, self.train, self.test, self.scatter)
+        return unsimulated(seen, self.train, self.test, self.scatter, self.equal)
 
     def decided(self, done: _Found | None) -> NonlinearAnswer | None:
         """The answer from the laws; None where there are none."""
@@ -292,7 +295,8 @@ class _Search:
         if not self.identified and all(laws[-1].made is not m for m in self.deep):
             laws[-1] = self._deepened(found, laws[-1])
         return decide(
-            found, laws, self.train, self.test, self.scatter, self.limits, self.whole, self.nearly or NEARLY, self.timed
+            found, laws, self.train, self.test, self.scatter, self.limits, self.whole, self.nearly or NEARLY,
+            self.timed, self.equal,
         )  # fmt: skip
 
     def carried(self, found: NonlinearAnswer, timed: Sequence[Timed]) -> NonlinearAnswer | None:

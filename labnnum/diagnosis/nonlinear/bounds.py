@@ -75,7 +75,7 @@ def hopeless(found: NonlinearAnswer, observations: Sequence[Observation], scatte
         left = found.misfit if found.gained else limits.improve**2 * base.data_part / base.count
         return linear_least(runs, scatter) > max(limits.misfit, left)
     chi, relative = frf_least(observations, scatter)
-    left = found.extended_error[0] if found.gained else limits.improve * found.base_error[0]
+    left = found.reached[0] if found.gained else limits.improve * found.base_error[0]
     return chi > MISFIT and relative > left
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.nonlinear.alike import Equals, others_of
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import alone, base_errors, errors_of, foretold, noise_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import GAINS, Prospect
@@ -75,6 +76,8 @@ class NonlinearAnswer:
     """Number of a response that was left out, because a law explains the others far better without it."""
     held_out: tuple[Run, ...] = ()
     scatter: Scatter = field(default_factory=Scatter)
+    equal: tuple[Place, ...] = ()
+    """Other places that move as that of the best law does: there it would do the same."""
     recorder: Recorder | None = None
     """The recorder's filter, where one was found: it is off the study's runs, and off those held out."""
 
@@ -92,6 +95,7 @@ USELESS = "the best nonlinear law does not improve the prediction of data held o
 def decide(
     found: Study, laws: Sequence[Tried], train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
     limits: Limits, whole: Sequence[Observation] = (), enough: float = 0.1, timed: Sequence[Timed] = (),
+    equal: Equals | None = None,
 ) -> NonlinearAnswer:  # fmt: skip
     """The answer that the fits allow: named laws, or a place and the reason why nothing is named there.
 
@@ -106,6 +110,8 @@ def decide(
         Part of the base's held-out error that excuses what the laws leave.
     timed : sequence of Timed
         Places by the time at which distortion comes.
+    equal : mapping, optional
+        Other places that move as a place does along an axis (`alike`).
     """
     named = next((t for t in found.tried if t.named and t.simulated), laws[0])
     best = named if laws[0].named else laws[0]  # the best law alone; a chain may have put another first
@@ -172,14 +178,14 @@ def decide(
         linear = linearised(found, last.made, orbits, (*train, *test), scatter, known=n_train)
     gained = misfit < HALF * base.data_part / base.count and reason not in (UNCONFIRMED, USELESS)
     alternatives = _alternatives(best, rivals, limits)
-    located = _located(found)
+    located = _located(found, equal)
     if told(timed, limits):
         located = tuple((t.spot.place, t.share) for t in timed[:10])
     return NonlinearAnswer(
         names, place, alternatives, located, base_error, extended_error if not reason else base_error, reason,
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best, last.made, scatter), found, tuple(laws),
         misfit, plain, noise, extended_error, gained, tuple(orbits), scatter=scatter,
-        held_out=tuple(o.run for o in test if o.run is not None),
+        held_out=tuple(o.run for o in test if o.run is not None), equal=others_of(equal or {}, best.spot),
     )  # fmt: skip
 
 
@@ -218,7 +224,8 @@ def lead_over(cost: float, other: float, excess: float, systematic: bool) -> flo
 
 
 def unsimulated(
-    seen: Prospect, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter
+    seen: Prospect, train: Sequence[Observation], test: Sequence[Observation], scatter: Scatter,
+    equal: Equals | None = None,
 ) -> NonlinearAnswer:  # fmt: skip
     """The answer that the fits along the motion give alone.
 
@@ -232,10 +239,10 @@ def unsimulated(
     rivals = [t for t in tried if t.named]
     place = best.spot.place if seen.nameless else max(seen.recovered, key=lambda q: q.share).spot.place
     return NonlinearAnswer(
-        (), place, _alternatives(best, rivals, Limits()), _located(found), error, error,
+        (), place, _alternatives(best, rivals, Limits()), _located(found, equal), error, error,
         NAMELESS if seen.nameless else NOTHING, (), (), curves(found, best), found, (best,), seen.level, seen.base.x,
         noise_of(test or train), gained=seen.nameless, held_out=tuple(o.run for o in test if o.run is not None),
-        scatter=scatter,
+        scatter=scatter, equal=others_of(equal or {}, best.spot),
     )  # fmt: skip
 
 
@@ -325,7 +332,7 @@ def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple
     return tuple(out)
 
 
-def _located(found: Study) -> tuple[tuple[Place, float], ...]:
+def _located(found: Study, equal: Equals | None) -> tuple[tuple[Place, float], ...]:
     """Places by the share of the distortion that a force there explains; a fitted law's place first."""
     shares: dict[Place, float] = {}
     for q in found.recovered:
@@ -334,4 +341,7 @@ def _located(found: Study) -> tuple[tuple[Place, float], ...]:
     for t in found.tried:
         gain = max(total - t.made.objective, 0.0) / total
         shares[t.spot.place] = max(shares.get(t.spot.place, 0.0), gain)
+    for spot in [*(t.spot for t in found.tried), *(q.spot for q in found.recovered)]:
+        for other in others_of(equal or {}, spot):
+            shares[other] = max(shares.get(other, 0.0), shares[spot.place])
     return tuple(sorted(shares.items(), key=lambda row: -row[1])[:10])

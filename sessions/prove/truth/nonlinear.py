@@ -43,17 +43,39 @@ STRENGTH = {True: 9.81, False: 20.0}
 
 def nonlinear(state: State, signal: NDArray, rate: float) -> NDArray[np.float64]:
     """What every output measures, from rest, while the input is `signal`, shape (n_out, n_samples)."""
-    whole = plant(state)
-    laws = _laws(state)
-    fine = FRICTION if march.averaged(laws).any() else FINENESS
-    over = int(np.ceil(fine * band(state)[1] / rate))
-    rows = np.array([t.row for t in state.laws])[:, state.mesh.active]
-    forces = march.march(coupling(whole, rows, band(state)[1]), laws, finer(signal, over), 1 / (rate * over))[2]
+    whole, rows = plant(state), _rows(state)
+    _, _, forces, over = _marched(state, whole, signal, rate)
     out = answers(whole, [signal], rate, (0.0, rate / 2))[0]
-    for row, force, mean in zip(rows, forces, march.averaged(laws), strict=True):
+    for row, force, mean in zip(rows, forces, march.averaged(_laws(state)), strict=True):
         alone = replace(whole, load=row, carried=0 * whole.carried, extras=())
         out = out - answers(alone, [coarser(force, over, mean)], rate, (0.0, rate / 2))[0]
     return out
+
+
+def stretched(state: State, signal: NDArray, rate: float) -> NDArray[np.float64]:
+    """How far each law is stretched at most, (n_laws,), from rest, while the input is `signal`."""
+    return np.max(np.abs(_marched(state, plant(state), signal, rate)[0]), axis=1)
+
+
+def stroke(term: LawTerm) -> float:
+    """Stretch at which a slider on a spring lets go, the first of several; infinite for what is no such law."""
+    if term.kind != march.SLIDERS:
+        return np.inf
+    stiffness, limit, count = term.constants[:3]
+    return 2 * limit / (count + 1) / stiffness
+
+
+def _marched(state: State, whole: Plant, signal: NDArray, rate: float) -> tuple[NDArray, NDArray, NDArray, int]:
+    """Stretch, speed and force of every law on the fine raster, and how many of its steps make a sample."""
+    laws = _laws(state)
+    fine = FRICTION if march.averaged(laws).any() else FINENESS
+    over = int(np.ceil(fine * band(state)[1] / rate))
+    coupled = coupling(whole, _rows(state), band(state)[1])
+    return *march.march(coupled, laws, finer(signal, over), 1 / (rate * over)), over
+
+
+def _rows(state: State) -> NDArray[np.float64]:
+    return np.array([t.row for t in state.laws])[:, state.mesh.active]
 
 
 def _laws(state: State) -> march.Laws:
@@ -164,10 +186,45 @@ def law(name: str, choose: Callable[[Generator, float, Sizes], Choice], inside: 
             parameters = {k: {**v, "unit": f"{v['unit']}, of the angle"} for k, v in parameters.items()}
         accept = (("hysteresis", place),) if sense == "iwan" else ()
         fault = Fault(name, inside, place, severity, share, measure_of, parameters, sense, accept=accept)
+        fault = replace(fault, places=moving_alike(state, row[0], place))
         return found(state, fault, laws=(*state.laws, LawTerm(kind, constants, row[0])))
 
     maker.__doc__ = choose.__doc__
     return maker
+
+
+ALIKE = 0.005
+"""Difference of two motions, relative, in all modes as they answer within the band, that no measurement shows."""
+
+
+def moving_alike(state: State, row: NDArray, place: dict) -> tuple[dict, ...]:
+    """Other places of the user's model that move as `row` does: what acts there does the same."""
+    whole = plant(state)
+    square, shape = np.real(whole.square), np.real(whole.shape)
+    low, high = (2 * np.pi * f for f in band(state))
+    own = np.clip(np.sqrt(np.maximum(square, 0.0)), low, high)
+    answer = 1 / np.abs(square - own**2 + 1j * np.real(whole.viscous) * own)
+    mine = answer * (row[state.mesh.active] @ shape)
+    out = []
+    for other, candidate in _rows_of_all(state):
+        motion = answer * (candidate[state.mesh.active] @ shape)
+        apart = min(np.linalg.norm(mine - motion), np.linalg.norm(mine + motion))
+        if apart < ALIKE * np.linalg.norm(mine) and other != place and other not in out:
+            out.append(other)
+    return tuple(out)
+
+
+def _rows_of_all(state: State) -> list[tuple[dict, NDArray]]:
+    """Every node of the user's model against the ground and its neighbour, along every axis that moves."""
+    bench = state.bench
+    axes = {"chain": (0,), "frame": (0, 1, 2)}.get(bench.kind, (1, 2))
+    out = []
+    for node in bench.coarse.named:
+        if node not in bench.feet:
+            out += [(ground(node), node_row(state, node, a)[0]) for a in axes if a != 2]
+    for home in bench.elements:
+        out += [(joint(home), (node_row(state, home[1], a) - node_row(state, home[0], a))[0]) for a in axes]
+    return out
 
 
 def _cubic(rng: Generator, severity: float, sizes: Sizes) -> Choice:

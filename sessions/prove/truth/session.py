@@ -10,7 +10,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from sessions.prove.truth import channels, excite
-from sessions.prove.truth.nonlinear import nonlinear
+from sessions.prove.truth.nonlinear import nonlinear, stretched, stroke
 from sessions.prove.truth.physics import band
 from sessions.prove.truth.respond import answers, steady
 from sessions.prove.truth.state import State, plant
@@ -134,6 +134,21 @@ def clean(rng: Generator, state: State, plan: Plan) -> list[Run]:
     if state.drift and plan.excitation == "multisine":
         return [replace(run, data=strength(state) * run.data) for run in _drifting(rng, state, plan)]
     return _runs(state, plan, SHOTS[plan.excitation](rng, state, plan))
+
+
+def holding(rng: Generator, state: State, plan: Plan) -> list[bool]:
+    """Whether each law is a slider on a spring that no run of the session makes slip: it is that spring then."""
+    limits = np.array([stroke(term) for term in state.laws])
+    if not np.isfinite(limits).any():
+        return [False] * limits.size
+    size = strength(state)
+    shots = sorted(SHOTS[plan.excitation](rng, state, plan), key=lambda shot: -shot.size)
+    holds = np.isfinite(limits)
+    for shot in shots:
+        holds &= stretched(state, size * shot.size * shot.signal, plan.rate) < limits
+        if not holds.any():
+            break
+    return holds.tolist()
 
 
 def _runs(state: State, plan: Plan, shots: list[Shot]) -> list[Run]:
