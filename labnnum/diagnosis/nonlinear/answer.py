@@ -23,7 +23,7 @@ from labnnum.diagnosis.nonlinear.decision import (
     lead_over,
     unsimulated,
 )
-from labnnum.diagnosis.nonlinear.detect import signs
+from labnnum.diagnosis.nonlinear.detect import repeating, signs
 from labnnum.diagnosis.nonlinear.effort import counted, tired
 from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.fitting import Made
@@ -327,8 +327,8 @@ def parts_of(
     """Runs to fit and runs held out, by level, and the originals of hits, noise and sweeps; None where no run shows
     nonlinear signs.
     """
-    train = sorted((o for o in train if o.run is not None), key=lambda o: o.level)
-    test = sorted((o for o in test if o.run is not None), key=lambda o: o.level)
+    train, test = (sorted((o for o in some if o.run is not None), key=lambda o: o.level) for some in (train, test))
+    train, test = repeating(train, test)
     runs = [o.run for o in train if o.run is not None]
     whole: tuple[Observation, ...] = ()
     if not runs:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.run import Run
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.observe import Observation
 
 SIGMAS = 6.0
 """How far, in standard deviations, the power on detection lines must stand above the noise."""
@@ -35,6 +39,35 @@ class Signs:
         sure = self.odd_sure | self.even_sure
         need = min(2, sure.shape[1])
         return bool((sure.sum(axis=1) >= need).any() or self.change_sure.sum() >= need)
+
+
+UNSTEADY, WORSE = 0.1, 10.0
+"""What periods differ by, of the response, RMS, from which on a run may be in no steady state; and how many times what
+the steadiest run does.
+"""
+
+
+def repeating(train: Sequence[Observation], test: Sequence[Observation]) -> tuple[list[Observation], list[Observation]]:
+    """The runs, to be fitted and held out, without those that do not repeat from period to period: a structure that
+    hardens strongly may jump about for ever, and no steady state is like that. All where fewer than two were left.
+    """
+    apart = {id(o): _apart(o) for o in (*train, *test)}
+    least = min(apart.values(), default=0.0)
+
+    def steady(some: Sequence[Observation]) -> list[Observation]:
+        return [o for o in some if apart[id(o)] < max(UNSTEADY, WORSE * least)]
+
+    kept = steady(train), steady(test)
+    return kept if len(kept[0]) > 1 and (kept[1] or not test) else (list(train), list(test))
+
+
+def _apart(o: Observation) -> float:
+    """RMS of what noise leaves in the mean over periods, of the response, the mean of the channels; 0 if not known."""
+    if o.run is None or not np.isfinite(o.run.noise).all():
+        return 0.0
+    at = o.run.compared
+    each = np.sum(o.run.noise[:, at], axis=1) / np.sum(np.abs(o.run.y[:, at]) ** 2, axis=1)
+    return float(np.sqrt(np.mean(each)))
 
 
 def _white(y: NDArray, block: int = 64) -> NDArray[np.float64]:
