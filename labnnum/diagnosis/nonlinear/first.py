@@ -41,6 +41,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
+from labnnum.diagnosis.nonlinear.receptance import cords
 from labnnum.diagnosis.nonlinear.stuck import let_go
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
@@ -472,7 +473,8 @@ def _without(engine: Engine, study: Study, x: NDArray) -> tuple[NDArray, NDArray
     _, at, where = np.intersect1d(own, there, return_indices=True)
     modes = np.stack([np.zeros(own.size), np.log(engine.zeta0[own]), np.zeros(own.size)])
     modes[:, at] = x[more : more + 3 * there.size].reshape(3, -1)[:, where]
-    return np.concatenate([x[:n], modes.ravel()]), x[n:more]
+    hung = more + 3 * there.size
+    return np.concatenate([x[:n], modes.ravel(), x[hung : hung + cords(engine)]]), x[n:more]
 
 
 def _dear(second: NonlinearAnswer) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.orbit import Orbit, scaled
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
-from labnnum.diagnosis.nonlinear.receptance import per_place
+from labnnum.diagnosis.nonlinear.receptance import cords, per_place
 from labnnum.errors import EstimationError, ModelError
 from labnnum.structures.modal import ModalStructure
 
@@ -236,7 +236,8 @@ def _reach(joint: Joint) -> NDArray[np.float64]:
     e = joint.engine
     m = e.band_modes.size
     first = np.array([p.upper - p.lower for p in e.structure.parameters])
-    return np.concatenate([first, np.full(m, 0.02), np.full(m, 0.7), np.full(m, 0.3), np.full(joint.k * (m + 1), 0.3)])
+    more = np.full(cords(e) + joint.k * (m + 1), 0.3)
+    return np.concatenate([first, np.full(m, 0.02), np.full(m, 0.7), np.full(m, 0.3), more])
 
 
 def _step(

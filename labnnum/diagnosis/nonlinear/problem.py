@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
-from labnnum.diagnosis.nonlinear.receptance import Base, Receptance, per_place
+from labnnum.diagnosis.nonlinear.receptance import HANGS, Base, Receptance, cords, per_place
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.objective import frequency_spread
@@ -26,6 +26,8 @@ FINE_STEPS = 3.3
 JUMPING, JUMPING_LAST = 8.0, 32.0
 """The same where a force jumps, in the search and in the last fit: a jump that comes half a step late lets its limit
 come out too high, by a third of friction that mostly holds."""
+SLACK = 1.5
+"""Bounds of the logarithms of the cords' frequency and damping, about their usual ones."""
 KINKED, SMOOTH_LAST = ("stick-slip", "sliders", "hysteresis", "one-sided-gap", "clearance"), 8.0
 """Laws whose force has corners, and the same for the last fit of these and of laws without: what folds back of a strong
 one's harmonics looks like a misfit, of 10 to 50 times the noise on the chain and the beam that were tried, which no law
@@ -103,10 +105,11 @@ class Joint:
         parameters = e.structure.parameters
         m = e.band_modes.size
         zeta0 = np.log(e.zeta0[e.band_modes])
-        self.mean = np.concatenate([e.theta0, np.zeros(m), zeta0, np.zeros(m), np.zeros(self.k * (m + 1))])
+        hung = cords(e)
+        self.mean = np.concatenate([e.theta0, np.zeros(m), zeta0, np.zeros(m), np.zeros(hung + self.k * (m + 1))])
         self.std = np.concatenate(
             [[p.spread for p in parameters], frequency_spread(e, sc), np.full(m, sc.damping), np.full(m, sc.residue),
-             self._motion_std()]
+             HANGS[:hung], self._motion_std()]
         )  # fmt: skip
         mean, std = [], []
         for t in self.terms:
@@ -139,12 +142,14 @@ class Joint:
         top = 2 * np.pi * min(r.rate for r in self.runs) / 2
         far = np.flatnonzero(e.state(e.theta0).omega[e.band_modes] > top)
         n = e.theta0.size
-        return np.concatenate([n + far, n + m + far, *(n + 3 * m + i * (m + 1) + far for i in range(self.k))])
+        last = n + 3 * m + cords(e)
+        return np.concatenate([n + far, n + m + far, *(last + i * (m + 1) + far for i in range(self.k))])
 
     def _bounds(self) -> None:
         e = self.engine
         m = e.band_modes.size
-        wide = np.concatenate([np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9), np.full(self.k * (m + 1), 0.5)])
+        wide = [np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9), np.full(cords(e), SLACK)]
+        wide = np.concatenate([*wide, np.full(self.k * (m + 1), 0.5)])
         low = np.concatenate([[p.lower for p in e.structure.parameters], -wide])
         high = np.concatenate([[p.upper for p in e.structure.parameters], wide])
         at = e.theta0.size + m

@@ -18,7 +18,10 @@ RIGID = 0.05
 SUSPENDED, CORDS = 0.1, 0.1
 """Frequency of a rigid body on its cords, in units of the lowest compared one, and its damping ratio. Nothing that is
 measured floats: without cords a force that has a mean, or a spring that softens, would carry a free body off, and no
-steady state would close. A tenth changes its response at the lowest line by 1 %, less than a usual suspension."""
+steady state would close. A tenth changes its response at the lowest line by 1 %, less than a usual suspension. Both
+are fitted: friction against the ground feels the slow motion of the whole body most, and after a hit that is large."""
+HANGS = (0.5, 0.7)
+"""Standard deviations of their logarithms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +76,13 @@ def per_place(engine: Engine) -> int:
     return engine.band_modes.size + 1
 
 
+def cords(engine: Engine) -> int:
+    """Entries of the vector for the cords on which a floating structure hangs: frequency and damping, as logarithms of
+    what they are to `SUSPENDED` and `CORDS`; none where it does not float.
+    """
+    return len(HANGS) if engine.rigid_modes else 0
+
+
 class Base:
     """The base model at places `columns` (n, k), on lines s = decay + i omega (n_f,) of which the first may be zero.
 
@@ -80,9 +90,10 @@ class Base:
     a force acts that jumps, which modes farther above the band are marched for.
 
     The vector that may vary holds the structure's parameters, then for each band mode a frequency offset, the
-    logarithm of its damping, an offset of its load, and, place by place, of its motion there, as in
-    `labnnum.diagnosis.engine.Point`, and last by how much more all modes above the band move there than they should:
-    coarse elements have those wrong, and a place next to a law feels them as its own flexibility.
+    logarithm of its damping and an offset of its load, then the entries of `cords`, and, place by place, its motion
+    there in each band mode, as in `labnnum.diagnosis.engine.Point`, and by how much more all modes above the band
+    move there than they should: coarse elements have those wrong, and a place next to a law feels them as its own
+    flexibility.
     """
 
     def __init__(
@@ -124,13 +135,14 @@ class Base:
     def start(self) -> NDArray[np.float64]:
         """The vector at the engine's point."""
         p = self.point
-        return np.concatenate([p.theta, p.shift, p.log_zeta, p.size, np.zeros(self.k * per_place(self.engine))])
+        more = cords(self.engine) + self.k * per_place(self.engine)
+        return np.concatenate([p.theta, p.shift, p.log_zeta, p.size, np.zeros(more)])
 
     @property
     def cuts(self) -> NDArray[np.int64]:
-        """Where shift, log_zeta, size and motion begin."""
+        """Where shift, log_zeta, size, cords and motion begin."""
         n, m = self.point.theta.size, self.point.shift.size
-        return np.array([n, n + m, n + 2 * m, n + 3 * m])
+        return np.array([n, n + m, n + 2 * m, n + 3 * m, n + 3 * m + cords(self.engine)])
 
     def _remainder(self, a: NDArray, b: NDArray, s: NDArray) -> NDArray:
         static = a @ b.T
@@ -143,18 +155,19 @@ class Base:
     def at(self, x: NDArray) -> Receptance:
         """Receptances at the vector `x`."""
         e = self.engine
-        theta, shift, log_zeta, size, motion = np.split(x, self.cuts)
+        theta, shift, log_zeta, size, hung, motion = np.split(x, self.cuts)
         st = e.state(theta)
         b = e.band_modes
         omega = st.omega.copy()
         omega[b] = omega[b] * (1 + shift)
         zeta = e.zeta0[: omega.size].copy()
-        omega[: e.rigid_modes] = SUSPENDED * e.band[0]
+        rigid = slice(0, e.rigid_modes)
+        omega[rigid] = SUSPENDED * e.band[0] * np.exp(hung[:1])
         common = np.mean(log_zeta - np.log(zeta[b]))
         outside = np.setdiff1d(np.arange(omega.size), b)
         zeta[outside] = np.minimum(zeta[outside] * np.exp(common), 0.95)
         zeta[b] = np.exp(log_zeta)
-        zeta[: e.rigid_modes] = CORDS
+        zeta[rigid] = CORDS * np.exp(hung[1:])
         share = float(self.point.law[0])
         # a lasting force on a rigid body has no response that lasts: of the mean it is left out
         d = modal(omega, zeta, share, self.decay, self.turn, RIGID * np.abs(self.s[1].imag))
@@ -209,13 +222,14 @@ class Base:
         self, x: NDArray, r: Receptance, d: NDArray, s: NDArray, wanted: tuple[bool, bool]
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
         e, b = self.engine, self.engine.band_modes
-        theta, shift, _, _, motion = np.split(x, self.cuts)
+        theta, shift, _, _, hung, motion = np.split(x, self.cuts)
         st = e.state(theta)
         sensors, places = wanted
         n_t, m_b, k, n_f = theta.size, b.size, self.k, s.size
         grown = 1.0 + motion.reshape(self.k, m_b + 1)[:, -1]
         n_o = len(e.outputs) if sensors else 0
-        n, kp = n_t + 3 * m_b + k * (m_b + 1), k if places else 0
+        last = n_t + 3 * m_b + hung.size
+        n, kp = last + k * (m_b + 1), k if places else 0
         dp = np.zeros((n, n_o, n_f), complex)
         dh = np.zeros((n, n_o, k, n_f), complex)
         dz = np.zeros((n, kp, n_f), complex)
@@ -258,7 +272,7 @@ class Base:
             if places:
                 dz[row] = w[:, None] * one
             for a in range(k):
-                row = at + 3 * m_b + a * (m_b + 1) + i
+                row = last + a * (m_b + 1) + i
                 one = d[mode] * self.w_typical[a, i]
                 if sensors:
                     dh[row, :, a] = o[:, None] * one
@@ -266,9 +280,18 @@ class Base:
                     dz[row, a] = load * one
                     dg[row, a] += w[:, None] * one
                     dg[row, :, a] += w[:, None] * one
+        rigid = slice(0, e.rigid_modes)
+        for row, dd in zip(range(at + 3 * m_b, last), (by_omega * r.omega[:, None], by_zeta), strict=False):
+            o, w, one = r.out[rigid].T, r.w[:, rigid], dd[rigid]
+            if sensors:
+                dp[row] = (o * r.load[rigid]) @ one
+                dh[row] = np.einsum("or,kr,rf->okf", o, w, one)
+            if places:
+                dz[row] = (w * r.load[rigid]) @ one
+                dg[row] = np.einsum("ar,cr,rf->acf", w, w, one)
         hi, high = self.above, bool(e.high.shape[1])
         for a in range(k):
-            row = at + 3 * m_b + a * (m_b + 1) + m_b
+            row = last + a * (m_b + 1) + m_b
             one = (r.w[a, hi] / grown[a])[:, None] * d[hi]
             if sensors:
                 dh[row, :, a] = r.out[hi].T @ one
