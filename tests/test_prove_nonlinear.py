@@ -11,7 +11,7 @@ from sessions.prove.cases import KINDS, LAWS, conceal, fits, make_case
 from sessions.prove.referee import misfit
 from sessions.prove.suite import draw
 from sessions.prove.truth import fe, march
-from sessions.prove.truth.nonlinear import coarser, coupling, finer, nonlinear
+from sessions.prove.truth.nonlinear import coarser, coupling, finer, moving_alike, nonlinear, stretched, stroke
 from sessions.prove.truth.respond import answers
 from sessions.prove.truth.state import LawTerm, plant
 
@@ -142,3 +142,35 @@ def test_the_referee_sees_the_same_structure_in_runs_as_in_exact_responses():
         case = conceal(seed, "chain", "added-mass", 0.6)
         exact, runs = misfit(case), misfit(case, marched=True)
         assert 0.25 < runs / exact < 4
+
+
+def test_storeys_of_a_frame_move_as_one_and_nodes_along_a_beam_do_not():
+    state = conceal(7, "frame", "coulomb-friction", 0.5).state
+    height = {name: state.bench.coarse.xy[i][1] for name, i in state.bench.coarse.named.items()}
+    top = [name for name, y in height.items() if y == max(height.values())]
+    first, others = top[0], {("ground", name) for name in top[1:]}
+    assert len(others) >= 2
+
+    def alike(axis):
+        row = np.zeros(state.mesh.size)
+        row[state.mesh.dof(first, axis)] = 1.0
+        place = {"kind": "ground", "id": first, "to": None}
+        return {(p["kind"], p["id"]) for p in moving_alike(state, row, place)}
+
+    assert alike(0) == others  # sway
+    assert not alike(2) & others  # each turns by itself
+
+
+def test_a_slider_that_no_run_makes_slip_may_be_called_the_spring_that_it_is():
+    case = conceal(12, "chain", "stick-slip", 0.6)
+    term = case.state.laws[0]
+    assert ("hysteresis" in [name for name, _ in case.told[0].accept]) is (term.constants[2] == 5.0)
+    held = replace(term, constants=(term.constants[0], 1e6 * term.constants[1], *term.constants[2:]))
+    case = replace(case, state=replace(case.state, laws=(held,)))
+    spring = "ground-stiffness" if case.state.faults[0].place["kind"] == "ground" else "joint-stiffness"
+    assert (spring, case.state.faults[0].place) in case.told[0].accept
+    signal = np.random.default_rng(3).standard_normal(400)
+    small, large = (stretched(case.state, level * signal, 3 * case.state.bench.band[1])[0] for level in (1e-3, 1e-2))
+    assert large == pytest.approx(10 * small, rel=1e-6)  # a spring
+    assert small < stroke(held)
+    assert stroke(replace(term, kind=march.CUBIC)) == np.inf

@@ -1,0 +1,101 @@
+"""Places that move alike, runs that do not repeat, and cords on which a floating structure hangs."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.alike import distinct, others_of
+from labnnum.diagnosis.nonlinear.detect import repeating
+from labnnum.diagnosis.nonlinear.locate import Spot, spots
+from labnnum.diagnosis.nonlinear.receptance import CORDS, SUSPENDED, Base, cords
+from labnnum.diagnosis.words import summarise
+from labnnum.mechanisms.base import Place
+from labnnum.structures import Chain
+from labnnum.structures.chain import Link
+from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs
+
+BAND = (2 * np.pi * 0.5, 2 * np.pi * 12)
+
+
+def rod(stiff: float, ground: bool = True) -> Chain:
+    """Four masses; the spring between 2 and 3 is `stiff` times the others."""
+    links = [Link("1", "ground", 1000.0, 1.0)] if ground else []
+    links += [Link(str(i), str(i + 1), 1000.0 * (stiff if i == 2 else 1.0), 1.0) for i in range(1, 4)]
+    return Chain({str(i): 1.0 for i in range(1, 5)}, tuple(links), ())
+
+
+def every_spot(engine: Engine) -> list[Spot]:
+    elements = [("1", "2"), ("2", "3"), ("3", "4")]
+    return spots(engine, engine.site(["1", "2", "3", "4"], elements, []))
+
+
+@pytest.mark.parametrize("stiff", [1.0, 1e5])
+def test_of_two_nodes_that_move_as_one_one_is_looked_at_and_the_other_told(stiff: float):
+    engine = Engine(rod(stiff), OUTPUTS, (FORCE,), BAND)
+    every = every_spot(engine)
+    kept, equal = distinct(engine, every)
+    third = Place("ground", "3")
+    assert (third in [s.place for s in kept]) is (stiff == 1.0)
+    second = next(s for s in kept if s.place == Place("ground", "2"))
+    assert others_of(equal, second) == (() if stiff == 1.0 else (third,))
+    assert others_of(equal, replace(second, axis="-x")) == others_of(equal, second)
+    assert len(kept) == len(every) - (stiff > 1)
+
+
+def test_mirror_images_are_two_places():
+    """They move as much in every mode, but not in the same sense."""
+    masses, links = {str(i): 1.0 for i in range(1, 5)}, [Link("1", "ground", 1000.0, 1.0)]
+    links += [Link(str(i), str(i + 1), 1000.0, 1.0) for i in range(1, 4)] + [Link("4", "ground", 1000.0, 1.0)]
+    engine = Engine(Chain(masses, tuple(links), ()), OUTPUTS, (FORCE,), BAND)
+    every = every_spot(engine)
+    assert len(distinct(engine, every)[0]) == len(every)
+
+
+def test_the_summary_names_the_places_that_move_alike():
+    place, others = Place("ground", "5"), (Place("ground", "6"), Place("ground", "17"))
+    law = SimpleNamespace(equal=others, laws=(SimpleNamespace(spot=SimpleNamespace(place=place)),))
+    told = SimpleNamespace(verdict="unexplained", named=(), place=place, detail={"nonlinear": law, "reason": "why"})
+    assert "ground 6 and ground 17 move as ground 5 does" in summarise(told)  # type: ignore[arg-type]
+    elsewhere = SimpleNamespace(**{**vars(told), "place": Place("ground", "4")})
+    assert "move as" not in summarise(elsewhere)  # type: ignore[arg-type]
+
+
+def test_a_run_that_jumps_about_for_ever_is_left_out():
+    """Its periods differ by a third of the response, those of the others by a thousandth; where all do, none is."""
+    some = runs([], chain(), levels=(1.0, 3.0, 10.0))[:3]
+    size = [np.mean(np.abs(o.run.y) ** 2) for o in some]
+
+    def with_noise(parts):
+        rows = zip(some, size, parts, strict=True)
+        return [replace(o, run=replace(o.run, noise=np.full(o.run.noise.shape, p**2 * s))) for o, s, p in rows]
+
+    jumps = with_noise((1e-3, 1e-3, 0.5))
+    assert repeating(jumps, jumps) == (jumps[:2], jumps[:2])
+    noisy = with_noise((0.4, 0.3, 0.5))
+    assert repeating(noisy, noisy) == (noisy, noisy)
+    two = jumps[1:]
+    assert repeating(two, two) == (two, two)  # one level alone would say nothing of a law
+
+
+def test_the_cords_of_a_floating_structure_are_entries_with_exact_slopes():
+    floats, stands = Engine(rod(1.0, ground=False), OUTPUTS, (FORCE,), BAND), Engine(chain(), OUTPUTS, (FORCE,), BAND)
+    assert cords(stands) == 0
+    omega = 2 * np.pi * np.linspace(0.02, 20.0, 60)
+    base = Base(floats, floats.start(), np.array([joint_23(), np.eye(4)[1]]).T, omega, decay=0.3)
+    x = base.start()
+    at = int(base.cuts[3])
+    x[at : at + 2] = -0.3, 0.2
+    here = base.at(x)
+    assert here.omega[0] == pytest.approx(SUSPENDED * BAND[0] * np.exp(-0.3))
+    assert here.zeta[0] == pytest.approx(CORDS * np.exp(0.2))
+    exact = base.derivatives(x, here)
+    for i in (at, at + 1):
+        step = 1e-6 * np.eye(x.size)[i]
+        up, down = base.at(x + step), base.at(x - step)
+        for name, slope in zip(("plain", "h", "z", "g"), exact, strict=True):
+            finite = (getattr(up, name) - getattr(down, name)) / 2e-6
+            assert np.linalg.norm(finite) > 1e-3 * np.linalg.norm(getattr(here, name)) or name == "h"
+            assert np.linalg.norm(slope[i] - finite) < 1e-5 * np.linalg.norm(getattr(here, name))
