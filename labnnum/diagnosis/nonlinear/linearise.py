@@ -85,7 +85,7 @@ def _less(o: Observation, change: NDArray) -> Observation:
     assert o.frf.variance is not None
     variance = o.frf.variance + (0.02 * np.abs(change))[:, None] ** 2
     frf = replace(o.frf, value=o.frf.value - change[:, None], variance=variance)
-    return replace(o, frf=frf, distortion={}, run=None, recordings=(), drift=0.0, drift_slope=None)
+    return replace(o, frf=frf, distortion={}, peaks={}, run=None, recordings=(), drift=0.0, drift_slope=None)
 
 
 def linearised_records(

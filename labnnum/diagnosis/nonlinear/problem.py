@@ -315,19 +315,23 @@ class Joint:
         that nothing else does; and these factors (k,).
 
         A place that moves twice as far against half the force does the same to the structure, whatever the law. Only
-        the price of the motions tells how far it moves, along a valley that turns.
+        the price of the motions tells how far it moves, along a valley that turns. A place that moves with the whole
+        body, where that floats, is left as it is: how far is known.
         """
         out, factor, m = x.copy(), np.ones(self.k), per_place(self.engine)
         first, e = next(iter(self.bases.values())), self.engine
-        shape = e.state(x[: e.theta0.size]).shape[:, e.band_modes]
+        every = e.state(x[: e.theta0.size]).shape
+        shape, whole = every[:, e.band_modes], every[:, : e.rigid_modes]
         at = self.n_base
         for i, t in enumerate(self.terms):
             own = slice(self.n_base - (self.k - i) * m, self.n_base - (self.k - i - 1) * m)
             law = slice(at, at + t.n)
             at += t.n
-            if (self.low[own] == self.high[own]).all():
+            column = first.columns[:, i]
+            carried = np.linalg.norm(column @ whole) > 1e-6 * np.linalg.norm(column @ shape)
+            if carried or (self.low[own] == self.high[own]).all():
                 continue
-            plain = np.append(first.columns[:, i] @ shape / first.w_typical[i], 1.0)
+            plain = np.append(column @ shape / first.w_typical[i], 1.0)
             here, there = (plain + x[own]) / self.std[own], plain / self.std[own]
             by = float(here @ there) / max(float(here @ here), 1e-300)
             moved = by * (plain + x[own]) - plain
