@@ -16,7 +16,7 @@ def _named(misfit):
         term=SimpleNamespace(mechanism=mechanism, parameters=(), place=place), place=place, value=(), std=(),
         confidence=1.0,
     )  # fmt: skip
-    law = SimpleNamespace(named=(one,), misfit=misfit)
+    law = SimpleNamespace(named=(one,), misfit=misfit, equal=())
     return SimpleNamespace(
         verdict="missing-physics", named=(one,), place=place, alternatives=(), base_error=(0.5, 0.5),
         extended_error=(0.02, 0.02), noise_floor=0.001, creep=None, detail={"nonlinear": law},
