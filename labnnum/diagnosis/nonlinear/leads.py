@@ -46,7 +46,8 @@ class _General:
     def scored(self, used: list[int]) -> tuple[NDArray, float]:
         """Sizes of the columns `used` and what they remove."""
         at = np.ix_(used, used)
-        d = np.sqrt(np.maximum(np.diag(self.gram)[used], 1e-300))
+        power = np.diag(self.gram)[used]
+        d = np.where(power > 0, np.sqrt(np.maximum(power, 1e-300)), np.inf)  # what ordinary errors explain to rounding
         size = np.linalg.pinv(self.gram[at] / np.outer(d, d), rcond=1e-10) @ (self.along[used] / d) / d
         return size, float(size @ self.along[used])
 
