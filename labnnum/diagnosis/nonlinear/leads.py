@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.laws import SHAPES, candidates, force_along, general_basis
-from labnnum.diagnosis.nonlinear.locate import Background, Beside, Lead, Recovered, Spot, spectra_of, through
+from labnnum.diagnosis.nonlinear.locate import (
+    Background,
+    Beside,
+    Lead,
+    Recovered,
+    Spot,
+    lengths,
+    spectra_of,
+    through,
+)
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 
@@ -46,8 +55,7 @@ class _General:
     def scored(self, used: list[int]) -> tuple[NDArray, float]:
         """Sizes of the columns `used` and what they remove."""
         at = np.ix_(used, used)
-        power = np.diag(self.gram)[used]
-        d = np.where(power > 0, np.sqrt(np.maximum(power, 1e-300)), np.inf)  # what ordinary errors explain to rounding
+        d = lengths(self.gram[at])
         size = np.linalg.pinv(self.gram[at] / np.outer(d, d), rcond=1e-10) @ (self.along[used] / d) / d
         return size, float(size @ self.along[used])
 

@@ -124,6 +124,14 @@ class Background:
         return Beside(self, held)
 
 
+def lengths(gram: NDArray) -> NDArray[np.float64]:
+    """Lengths (n,) of columns with these products; infinite where rounding has left less than nothing, so that what is
+    divided by them counts for nothing.
+    """
+    power = np.diag(gram)
+    return np.where(power > 0, np.sqrt(np.maximum(power, 1e-300)), np.inf)
+
+
 class Beside:
     """Scores of single columns beside held ones: what each removes of the objective that those leave."""
 
@@ -132,7 +140,7 @@ class Beside:
         self.inner = np.array([background._inner(c) for c in held])
         self.flat = held.reshape(held.shape[0], -1)
         gram = self.flat @ self.flat.T - self.inner @ background.inverse @ self.inner.T
-        d = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        d = lengths(gram)
         self.solve = np.linalg.pinv(gram / np.outer(d, d), rcond=1e-10) / np.outer(d, d)
         self.along = self.flat @ background.r.reshape(-1) - self.inner @ background.solved
         self.gain = float(self.along @ self.solve @ self.along)

@@ -25,6 +25,7 @@ from labnnum.diagnosis.nonlinear.locate import (
     Lead,
     Recovered,
     Spot,
+    lengths,
     moments,
     motions_of,
     recover,
@@ -370,7 +371,8 @@ def units(q: Recovered) -> list[Lead]:
 
 def _beside(gram: NDArray, along: NDArray, n: int) -> tuple[NDArray, NDArray, float]:
     """Products of all but the first `n` columns beside those, scaled to one, and what those remove."""
-    d = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    d = lengths(gram)
+    d[np.isinf(d)] = 1.0
     gram, along = gram / np.outer(d, d), along / d
     solve = np.linalg.pinv(gram[:n, :n], rcond=1e-10)
     cross = gram[n:, :n] @ solve
