@@ -129,6 +129,9 @@ class Base:
         order = MOTION_ORDER[e.inputs[0].quantity] if e.is_base else 2
         self.gain = np.where(some | (order == 2), safe ** (2 - order), 0.0) / e.sign_in[0]
         self.some, self.safe = some, safe
+        self.hysteretic = 0.0 if decay else float(point.law[0])
+        """Share of the damping that is hysteretic, but of cords, which have none; and none at all where a record begins at
+        rest: such damping answers before it is asked, and undoing the window of a hit would blow that up."""
 
     # ---------------------------------------------------------------- the vector
 
@@ -168,9 +171,10 @@ class Base:
         zeta[outside] = np.minimum(zeta[outside] * np.exp(common), 0.95)
         zeta[b] = np.exp(log_zeta)
         zeta[rigid] = CORDS * np.exp(hung[1:])
-        share = float(self.point.law[0])
         # a lasting force on a rigid body has no response that lasts: of the mean it is left out
-        d = modal(omega, zeta, share, self.decay, self.turn, RIGID * np.abs(self.s[1].imag))
+        least = RIGID * np.abs(self.s[1].imag)
+        d = modal(omega, zeta, self.hysteretic, self.decay, self.turn, least)
+        d[rigid] = modal(omega[rigid], zeta[rigid], 0.0, self.decay, self.turn, least)
         load = st.load[:, 0].copy()
         load[b] += size * e.load_typical
         w = self.columns.T @ st.shape
@@ -234,10 +238,12 @@ class Base:
         dh = np.zeros((n, n_o, k, n_f), complex)
         dz = np.zeros((n, kp, n_f), complex)
         dg = np.zeros((n, kp, kp, n_f), complex)
-        share = float(self.point.law[0])
+        share = np.full((r.omega.size, 1), self.hysteretic)
+        share[: e.rigid_modes] = 0.0
         rate = (1 - share) * s + 1j * share * r.omega[:, None]
         square = d**2
-        by_omega = -square * ((2 * r.omega + 2j * share * r.zeta * r.omega)[:, None] + 2 * r.zeta[:, None] * rate)
+        own, zeta = r.omega[:, None], r.zeta[:, None]
+        by_omega = -square * (2 * own + 2j * share * zeta * own + 2 * zeta * rate)
         by_zeta = -square * (2 * (r.omega * r.zeta)[:, None] * rate)
         for j in range(n_t):
             dd = by_omega * (st.d_log[j] * r.omega)[:, None]
