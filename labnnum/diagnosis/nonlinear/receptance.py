@@ -130,8 +130,8 @@ class Base:
         self.gain = np.where(some | (order == 2), safe ** (2 - order), 0.0) / e.sign_in[0]
         self.some, self.safe = some, safe
         self.hysteretic = 0.0 if decay else float(point.law[0])
-        """Share of the damping that is hysteretic, but of cords, which have none; and none at all where a record begins at
-        rest: such damping answers before it is asked, and undoing the window of a hit would blow that up."""
+        """Share of the damping that is hysteretic, but of cords, which have none; and none at all where a record begins
+        at rest: such damping answers before it is asked, and undoing the window of a hit would blow that up."""
 
     # ---------------------------------------------------------------- the vector
 
