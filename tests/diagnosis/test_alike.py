@@ -66,11 +66,14 @@ def test_the_summary_names_the_places_that_move_alike():
 def test_a_run_that_jumps_about_for_ever_is_left_out():
     """Its periods differ by a third of the response, those of the others by a thousandth; where all do, none is."""
     some = runs([], chain(), levels=(1.0, 3.0, 10.0))[:3]
-    size = [np.mean(np.abs(o.run.y) ** 2) for o in some]
 
     def with_noise(parts):
-        rows = zip(some, size, parts, strict=True)
-        return [replace(o, run=replace(o.run, noise=np.full(o.run.noise.shape, p**2 * s))) for o, s, p in rows]
+        out = []
+        for o, p in zip(some, parts, strict=True):
+            assert o.run is not None
+            noise = np.full(o.run.noise.shape, p**2 * np.mean(np.abs(o.run.y) ** 2))
+            out.append(replace(o, run=replace(o.run, noise=noise)))
+        return out
 
     jumps = with_noise((1e-3, 1e-3, 0.5))
     assert repeating(jumps, jumps) == (jumps[:2], jumps[:2])
