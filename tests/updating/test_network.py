@@ -176,7 +176,7 @@ def test_the_compiled_network_answers_the_same(degree):
     assert net.degree == degree
     answer = compiled(net)
     for row in X[:3] + 0.01:
-        assert np.allclose(answer(row), net(row), rtol=1e-5)
+        assert np.allclose(answer(row), net(row), rtol=1e-5, atol=1e-5 * np.std(Y))  # large weights cancel
     with pytest.raises(EstimationError, match="only a gaussian kernel"):
         compiled(fit_printed(X, Y))
 
