@@ -157,6 +157,12 @@ def test_a_channel_that_alone_reads_less_at_the_higher_level_clips(rows, kind, f
     assert bent_channel(runs) == ["", OUTPUTS[1].name if found else ""]
 
 
+def test_frfs_from_which_a_law_was_taken_make_no_channel_clip():
+    """They hold no readings any more, and what the law has wrong at one sensor is left in its row."""
+    runs = [replace(_read(level, rows, 1.0), peaks={}) for level, rows in ((1.0, (1, 1, 1)), (3.0, (1, 0.9, 1)))]
+    assert bent_channel(runs) == ["", ""]
+
+
 @pytest.mark.parametrize(("peak", "held"), [(2.4, True), (3.0, False)])
 def test_hits_on_a_rail_are_held_back(peak, held):
     """Of a channel whose peaks grow as all others' do only a structure can say less in proportion."""

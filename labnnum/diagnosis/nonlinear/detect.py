@@ -65,9 +65,7 @@ def _apart(o: Observation) -> float:
     """RMS of what noise leaves in the mean over periods, of the response, the middle one of the channels."""
     if o.run is None or not np.isfinite(o.run.noise).all():
         return 0.0  # not known
-    at = o.run.compared
-    power = np.maximum(np.sum(np.abs(o.run.y[:, at]) ** 2, axis=1), 1e-300)
-    return float(np.sqrt(np.median(np.sum(o.run.noise[:, at], axis=1) / power)))
+    return float(np.sqrt(np.median(o.run.unsure)))
 
 
 def _white(y: NDArray, block: int = 64) -> NDArray[np.float64]:

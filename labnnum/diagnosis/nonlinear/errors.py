@@ -23,9 +23,7 @@ def noise_of(observations: Sequence[Observation]) -> float:
     parts = []
     for o in observations:
         assert o.run is not None
-        at, known = o.run.compared, heard(o.run)
-        ratio = np.sum(o.run.noise[:, at], axis=1) / np.sum(np.abs(o.run.seen(o.run.y)[:, at]) ** 2, axis=1)
-        parts.append(np.mean(ratio[known]))
+        parts.append(np.mean(o.run.unsure[heard(o.run)]))
     return float(np.sqrt(np.mean(parts)))
 
 

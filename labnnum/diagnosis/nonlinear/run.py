@@ -90,6 +90,13 @@ class Run:
         """Detection lines: inside, not excited."""
         return self.inside & ~self.excited
 
+    @property
+    def unsure(self) -> NDArray[np.float64]:
+        """Power of the noise over that of each response, (n_out,), on the lines compared; NaN from a single period."""
+        at = self.compared
+        power = np.sum(np.abs(self.seen(self.y)[:, at]) ** 2, axis=1)
+        return np.sum(self.noise[:, at], axis=1) / np.maximum(power, 1e-300)
+
     def seen(self, spectra: NDArray) -> NDArray:
         """Spectra (..., n_lines) as they are compared: through a Hann window where the run is open."""
         return hann_of(spectra) if self.open else spectra
