@@ -26,6 +26,10 @@ class Curve:
     law: NDArray[np.float64]
 
 
+HEARD = 0.1
+"""What is left of a hit's window where its drawing ends: further on errors are undone from it with the signal."""
+
+
 def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter | None = None) -> tuple[Curve, ...]:
     """Force recovered from the measurement and the law along the motion, at the best place, thinned for drawing.
 
@@ -47,7 +51,8 @@ def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter
     out = []
     for run, z, v, f in zip(found.runs, seen.z, seen.v, seen.f, strict=True):
         law = force_along(term.shape, sign * z, sign * v, full) * sign
-        pick = slice(0, None, max(z.size // 3000, 1))
+        heard = z.size if not run.decay else int(z.size * min(1.0, -np.log(HEARD) * run.rate / run.decay / run.period))
+        pick = slice(0, heard, max(heard // 3000, 1))
         out.append(Curve(run.level, z[pick], v[pick], -f[pick], law[pick]))
     return tuple(out)
 
