@@ -41,6 +41,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
+from labnnum.diagnosis.nonlinear.overloaded import overloaded
 from labnnum.diagnosis.nonlinear.receptance import cords
 from labnnum.diagnosis.nonlinear.stuck import let_go
 from labnnum.diagnosis.observe import Observation
@@ -316,6 +317,7 @@ class _Whole:
         if not found.linearised:
             rest = self.again(self.observations, self.held_out, catalogue=())
             return merged(found, rest, self.gate.named, self.signs, self.observations)
+        found, clipped = self._restored(found)
         self.progress("searching for linear physics beside it")
         found, rest = self._supposing(found, self._rest(found))
         unsure = self.periodic and found.lying is None and found.misfit > UNSURE
@@ -336,8 +338,26 @@ class _Whole:
             if second is not None and (less or (second.named and second.misfit < UNSURE)):
                 found = second
         told = any(n.place.kind == "channel" for n in rest.named)
-        before = () if told or not found.named else self.of_channels
+        before = clipped or (() if told or not found.named else self.of_channels)
         return merged(found, rest, self.gate.named, self.signs, self.observations, before)
+
+    def _restored(self, found: NonlinearAnswer) -> tuple[NonlinearAnswer, tuple[Named, ...]]:
+        """The law with what one channel cuts off put back into its runs, and that channel's rail; what it was where the
+        law does not say that any does.
+        """
+        if not self.periodic or self.gate.named or self.faults or self.nearly:
+            return found, ()
+        one = overloaded(found, (*self.train, *self.test))
+        if one is None:
+            return found, ()
+        self.progress("searching for the law with what a channel cuts off put back")
+        before = self.train, self.test, self.usable
+        self.train, self.test, self.usable = ([one.restored(o) for o in part] for part in before)
+        second = self.law(self.engine, suspicious=False, whole=False)
+        if second is not None and second.named and second.misfit < max(UNSURE, found.misfit):
+            return second, (one.named,)
+        self.train, self.test, self.usable = before
+        return found, (one.named,)
 
     def _supposing(self, found: NonlinearAnswer, rest: Diagnosis) -> tuple[NonlinearAnswer, Diagnosis]:
         """The law and the linear search beside it, both again with what that search found in the model, where it found

@@ -39,7 +39,7 @@ def linearised(
     some = [choose_lines(r, LINES, scatter.floor) for r in runs]
     joint = Joint(found.engine, found.point, runs, last.terms, scatter, some, whole=True)
     made = joint.receptances(last.x)
-    errors = _errors(joint, last.x, orbits, known)
+    errors = errors_of_sensors(joint, last.x, orbits, range(len(runs))[:known])
     if lying is not None:
         errors[lying] = 0.0
     out = []
@@ -56,11 +56,11 @@ def linearised(
     return out
 
 
-def _errors(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], known: int | None = None) -> NDArray:
-    """Ordinary errors (n_out, n) of gains and shapes that the first `known` runs show, in standard deviations."""
-    first = slice(None, known)
-    seen = joint.over(first)
-    return reduced(*seen.parts(x, orbits[first]))[2]
+def errors_of_sensors(
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], runs: Sequence[int]
+) -> NDArray[np.float64]:  # fmt: skip
+    """Ordinary errors (n_out, n) of gains and shapes that some of the runs show, in standard deviations."""
+    return reduced(*joint.over(runs).parts(x, [orbits[i] for i in runs]))[2]
 
 
 def _share(joint: Joint, r: Receptance, run: Run, orbit: Orbit, errors: NDArray) -> NDArray[np.complex128]:
@@ -101,7 +101,7 @@ def linearised_records(
         joint = Joint(found.engine, found.point, runs, last.terms, scatter, some, whole=True)
         made = joint.receptances(last.x)
         orbits = joint.settle(last.x, [None] * len(runs), 12)
-        errors = _errors(joint, last.x, orbits)
+        errors = errors_of_sensors(joint, last.x, orbits, range(len(runs)))
         shares = []
         for run, orbit in zip(runs, orbits, strict=True):
             assert orbit is not None

@@ -13,6 +13,10 @@ from labnnum.diagnosis.nonlinear.run import Run
 NEAR = 9
 """Lines over which the size of a response to noise or to a hit is averaged."""
 
+DENSE = 6
+"""Times as many lines as of other runs are compared of noise and sweeps: each of their thousands of lines is excited,
+and holds little; none shows distortion alone."""
+
 DISTORTION = 6.0
 """Relative error of the distortion around a line, in units of the floor that the scatter gives to a response."""
 
@@ -39,7 +43,10 @@ class Lines:
 
 
 def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
-    """Lines between the first and the last that is excited, `most` of them (0: all), with their deviation."""
+    """Lines between the first and the last that is excited, `most` of them (0: all), with their deviation.
+
+    `DENSE` times as many of noise and sweeps.
+    """
     inside = np.flatnonzero(run.compared)
     size = np.abs(run.seen(run.y))
     if not run.lasting:
@@ -58,6 +65,8 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
     row = np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))
     sigma = np.sqrt(noise + (floor * size) ** 2 + (DISTORTION * floor) ** 2 * local + (0.02 * floor * row) ** 2)
     sigma = np.hypot(sigma, run.miss * row)
+    if run.open:
+        most *= DENSE
     if most and inside.size > most:
         rng = np.random.default_rng(inside.size)
         on, off = inside[run.excited[inside]], inside[~run.excited[inside]]

@@ -195,10 +195,11 @@ class Joint:
         out.steady = [Steady(r, self.codes, s.fine) for r, s in zip(runs, self.steady, strict=True)]
         return out
 
-    def over(self, pick: slice) -> Joint:
+    def over(self, pick: Sequence[int]) -> Joint:
         """The same over some of the runs."""
         out = copy(self)
-        out.runs, out.steady, out.lines = self.runs[pick], self.steady[pick], self.lines[pick]
+        out.runs = tuple(self.runs[i] for i in pick)
+        out.steady, out.lines = [self.steady[i] for i in pick], [self.lines[i] for i in pick]
         return out
 
     # ---------------------------------------------------------------- pieces
@@ -275,12 +276,14 @@ class Joint:
             others = np.concatenate([others, sc.remainder * rest[:, None], 0.3j * sc.remainder * rest[:, None]], axis=1)
         return np.concatenate([modal, 1j * (sc.complexity / sc.shape) * modal, higher, others], axis=1)
 
-    def misread(self, r: Receptance, run: Run, orbit: Orbit, share: NDArray, errors: NDArray) -> NDArray:
+    def misread(
+        self, r: Receptance, run: Run, orbit: Orbit | None, share: NDArray, errors: NDArray, silent: bool = True
+    ) -> NDArray[np.complex128]:  # fmt: skip
         """What ordinary errors (n_out, n), in standard deviations, add to the `share` (n_out, n_lines) of the responses
-        that the nonlinear forces make.
+        that the nonlinear forces make; to all of the responses where the input is not `silent`.
         """
-        silent = replace(run, u=np.zeros_like(run.u))
-        columns = self._nuisance(r, silent, orbit, r.lines, share)
+        heard = replace(run, u=np.zeros_like(run.u)) if silent else run
+        columns = self._nuisance(r, heard, orbit, r.lines, share)
         return np.einsum("on,onf->of", errors, columns, optimize=True)
 
     @staticmethod
