@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
-from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit
+from labnnum.diagnosis.nonlinear.decision import BENT, MOST_IDENTIFIED
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, looked, nearest
@@ -139,14 +139,36 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     alike = [s for s in twins(found, best.spot, every) if (s.place, s.axis) not in have]
     near = [s for s in near if not any(s.place == o.place for o in alike)]
     made = at_places(found, best, [*alike, *near][:3], scatter)
+    have |= {(s.place, s.axis) for s in [*alike, *near][:3]}
     reached = min([best, *made], key=lambda t: t.cost)
+    if reached.named and reached.simulated and reached.made.prior_part > BENT * reached.made.n_base and not tired():
+        made += _unbent(found, reached, scatter)
+        reached = min([best, *made], key=lambda t: t.cost)
     if not (reached.simulated and reached.named) or reached.made.data_part < UNSURE * reached.made.count or tired():
         return made
-    have |= {(s.place, s.axis) for s in [*alike, *near][:3]}
     plain = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES).joint([])
     again, _ = looked(plain, reached.made.x, every)
     there = [q.spot for q in nearest(again) if (q.spot.place, q.spot.axis) not in have][:ANEW]
     return [*made, *at_places(found, reached, there, scatter)]
+
+
+def _unbent(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
+    """A law for which the base bends far, at other spots of the distortion, from the base of the quietest level.
+
+    What is recovered through a base that was bent for the wrong place tells of no other.
+    """
+    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES)
+    bare = found.quiet.x[: one.made.bare]
+    out: list[Tried] = []
+    for q in [q for q in found.recovered if q.spot.place != one.spot.place][:ELSEWHERE]:
+        followed = bench.follow(bare, replace(of_fit(one), spot=q.spot), LONG)
+        made = bench.simulate(followed, LONG) if followed is not None else None
+        out += [made] if made is not None else []
+    return out
+
+
+ELSEWHERE = 4
+"""Spots at which a law is tried for which the base bends far."""
 
 
 def twins(found: Study, spot: Spot, every: Sequence[Spot]) -> list[Spot]:
