@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit
-from labnnum.diagnosis.nonlinear.decision import BENT, MOST_IDENTIFIED
+from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
-from labnnum.diagnosis.nonlinear.explore import LINES, LONG, looked, nearest
+from labnnum.diagnosis.nonlinear.explore import LINES, LONG, STRAINED, looked, nearest
 from labnnum.diagnosis.nonlinear.further import GAIN, further, needed
 from labnnum.diagnosis.nonlinear.locate import Spot
 from labnnum.diagnosis.nonlinear.study import FINE, UNSURE, at_places
@@ -141,7 +141,7 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     made = at_places(found, best, [*alike, *near][:3], scatter)
     have |= {(s.place, s.axis) for s in [*alike, *near][:3]}
     reached = min([best, *made], key=lambda t: t.cost)
-    if reached.named and reached.simulated and reached.made.prior_part > BENT * reached.made.n_base and not tired():
+    if reached.named and reached.simulated and reached.made.prior_part > STRAINED * reached.made.n_base and not tired():
         made += _unbent(found, reached, scatter)
         reached = min([best, *made], key=lambda t: t.cost)
     if not (reached.simulated and reached.named) or reached.made.data_part < UNSURE * reached.made.count or tired():
@@ -167,7 +167,7 @@ def _unbent(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
     return out
 
 
-ELSEWHERE = 4
+ELSEWHERE = 3
 """Spots at which a law is tried for which the base bends far."""
 
 

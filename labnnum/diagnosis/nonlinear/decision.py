@@ -86,6 +86,7 @@ NAMELESS = "a smooth law that the catalogue does not hold explains it best"
 GENERAL = "a general law of motion and speed explains far more than any named one"
 EQUAL = "two nonlinear laws explain it equally well"
 NOTHING = "what the best nonlinear law leaves is far more than noise"
+BOUGHT = "the base beside the best nonlinear law is bent further than the ordinary errors of any sound model"
 FOUND = (NAMELESS, GENERAL)
 """Reasons for which nothing is named although nonlinear physics is certain, and at its place."""
 USELESS = "the best nonlinear law does not improve the prediction of data held out"
@@ -142,6 +143,8 @@ def decide(
         reason = UNCONFIRMED
     elif misfit > MISFIT and not nearly and not _stands_out(found, best, last, base_error, extended_error):
         reason = NOTHING
+    elif last.made.prior_part > WARPED * last.made.n_base and enough == NEARLY:
+        reason = BOUGHT
     elif not best.named:
         reason = NAMELESS
     elif behind > max(limits.alarm, HALF * left) and not (nearly and enough > NEARLY):

@@ -25,6 +25,7 @@ from labnnum.diagnosis.nonlinear.beside import (
 )
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
 from labnnum.diagnosis.nonlinear.decision import (
+    BOUGHT,
     EQUAL,
     FOUND,
     KNOWN,
@@ -270,7 +271,7 @@ class _Whole:
         the base pays for, in the structure or on a channel.
         """
         much = bool(found.named) and found.misfit > MISFIT
-        if not (found.reason == NOTHING or much) or not strained(found):
+        if not (found.reason in (NOTHING, BOUGHT) or much) or not strained(found):
             return found
         self.progress("searching for linear physics that hides the law")
         rest = self.again(found.linearised, found.linearised_held_out, depth=1)
@@ -459,7 +460,7 @@ def _clear(found: NonlinearAnswer) -> bool:
     needs something linear beside it to be.
     """
     base = found.study.base.data_part / found.study.base.count
-    sure = bool(found.named) or (found.reason == NOTHING and strained(found))
+    sure = bool(found.named) or (found.reason in (NOTHING, BOUGHT) and strained(found))
     return sure and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
 
 

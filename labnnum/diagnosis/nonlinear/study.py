@@ -125,9 +125,8 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
     for t in near:
         enough = sum(o.simulated for o in out)
         alike = sum(o.simulated for o in out if o.named == t.named)
-        if alike >= most[0 if t.named else 1] or (
-            enough and t.cost > CLOSE * min(best, near[0].cost) and t.cost > best
-        ):
+        level = CLOSE * (near[0].cost if _elsewhere(t, out) else min(best, near[0].cost))
+        if alike >= most[0 if t.named else 1] or (enough and t.cost > level and t.cost > best):
             out.append(t)
             continue
         one = t if t.simulated else bench.simulate(t, LONG)
@@ -145,6 +144,17 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
         return []
     return plainer(sorted(out, key=lambda t: t.cost))
 
+
+def _elsewhere(t: Tried, done: Sequence[Tried]) -> bool:
+    """Whether a follow with a name is at a place at which none was simulated, and not more than one other place had its
+    turn: what is left along the motion is compared with what others leave along theirs, not with a simulation.
+    """
+    places = {o.spot.place for o in done if o.simulated}
+    return t.named and not t.simulated and t.spot.place not in places and len(places) < PLACES
+
+
+PLACES = 2
+"""Places at which the follows that came nearest are simulated, though a simulation elsewhere leaves far less."""
 
 PLAINER = 1.05
 """Cost, of that of sliders whose limits are spread, up to which one slider is preferred to them, and dry friction to
