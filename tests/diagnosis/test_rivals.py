@@ -1,19 +1,25 @@
-"""Where a winning law is tried again: where its own base says that the distortion comes from."""
+"""Where a winning law is tried again: where its own base says that the distortion comes from, or the unbent one does;
+which follows are simulated, and how many lines are compared.
+"""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from labnnum.diagnosis.nonlinear import chain
-from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.diagnosis.nonlinear import chain, study
+from labnnum.diagnosis.nonlinear.lines import OPEN, PERIODIC, ROUGH, choose_lines
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 from labnnum.mechanisms.base import Place
+from tests.diagnosis.test_nonlinear import chain as masses
+from tests.diagnosis.test_nonlinear import runs
 
 SPOTS = [Spot(Place("ground", str(i)), "x", np.eye(5)[i]) for i in range(5)]
 
 
-def tried(i, cost, x):
-    made = SimpleNamespace(data_part=cost, count=100, x=x)
+def tried(i, cost, x, price=0.0):
+    made = SimpleNamespace(data_part=cost, count=100, x=x, prior_part=price, n_base=10, bare=3)
     return SimpleNamespace(spot=SPOTS[i], mechanism="stick-slip", cost=cost, made=made, simulated=True, named=True)
 
 
@@ -42,3 +48,54 @@ def test_a_law_that_leaves_far_more_than_noise_is_tried_where_its_base_finds_the
     assert calls == asked
     assert bases == (["rival"] if len(asked) > 1 else [])
     assert [t.spot.place.id for t in made] == [a[0] for a in asked]
+
+
+@pytest.mark.parametrize(("price", "asked"), [(5.0, []), (300.0, ["2", "1", "3"])])
+def test_a_law_for_which_the_base_bends_far_is_tried_elsewhere_from_the_unbent_base(monkeypatch, price, asked):
+    """Its own place is left out, those that had a turn from a bent base are not; the least in cost is at its place."""
+    followed = []
+
+    class OnLines:
+        def follow(self, x, lead, steps):
+            followed.append((x, lead.spot.place.id))
+            return lead.spot
+
+        def simulate(self, spot, steps):
+            return tried(int(spot.place.id), 40.0 if spot is SPOTS[1] else 900.0, "unbent")
+
+    monkeypatch.setattr(chain, "Bench", lambda *args: SimpleNamespace(on=lambda lines: OnLines()))
+    monkeypatch.setattr(chain, "of_fit", lambda one: one.lead)
+    monkeypatch.setattr(chain, "twins", lambda found, spot, every: [])
+    monkeypatch.setattr(chain, "at_places", lambda found, best, spots, scatter: [])
+    best = tried(0, 90.0, "best", price)
+    best.lead = Lead(SPOTS[0], "quadratic-damping", np.zeros(10), 1.0)
+    recovered = [SimpleNamespace(spot=SPOTS[i], gain=1.0) for i in (0, 2, 1, 3, 4)]
+    quiet = SimpleNamespace(x="calm base and motions")
+    found = SimpleNamespace(
+        best=best, tried=[best], recovered=recovered, engine=None, point=None, runs=(), quiet=quiet
+    )  # fmt: skip
+    made = chain.rivals(found, SPOTS, None)
+    assert followed == [("cal", place) for place in asked]
+    assert [t.cost for t in made] == [900.0 if place != "1" else 40.0 for place in asked]
+
+
+def test_a_follow_at_a_second_place_is_simulated_whatever_a_simulation_leaves_at_the_first():
+    """At a third only if it leaves as little as a simulation does."""
+    follow = SimpleNamespace(spot=SPOTS[1], named=True, simulated=False)
+    one, two = tried(0, 10.0, "x"), tried(2, 10.0, "x")
+    assert study._elsewhere(follow, [one])
+    assert not study._elsewhere(follow, [one, two])
+    assert not study._elsewhere(follow, [tried(1, 10.0, "x")])
+    assert not study._elsewhere(SimpleNamespace(spot=SPOTS[1], named=False, simulated=False), [one])
+
+
+def test_runs_with_thousands_of_lines_are_compared_on_more_of_them():
+    """But for those whose base is known to miss more than noise."""
+    run = runs([], masses(), levels=(1.0,))[0].run
+    assert run is not None
+    most = 15
+    assert choose_lines(run, most).at.size == PERIODIC * most
+    assert choose_lines(replace(run, open=True), most).at.size == OPEN * most
+    assert choose_lines(replace(run, decay=1.0), most).at.size == most
+    assert choose_lines(replace(run, miss=ROUGH), most).at.size == most
+    assert choose_lines(run).at.size == np.count_nonzero(run.compared)

@@ -17,6 +17,9 @@ PERIODIC, OPEN = 3, 6
 """Times as many lines as of hits are compared of periodic runs, and of noise and sweeps: each of their thousands holds
 little, and of the latter none shows distortion alone. A march costs as much however many lines it is compared on."""
 
+ROUGH = 0.01
+"""What the base is known to miss, from which on no more lines are taken: it misses that alike at neighbouring lines."""
+
 DISTORTION = 6.0
 """Relative error of the distortion around a line, in units of the floor that the scatter gives to a response."""
 
@@ -45,7 +48,8 @@ class Lines:
 def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
     """Lines between the first and the last that is excited, `most` of them (0: all), with their deviation.
 
-    `PERIODIC` times as many of periodic runs, `OPEN` times as many of noise and sweeps.
+    `PERIODIC` times as many of periodic runs, `OPEN` times as many of noise and sweeps, unless the base is known to
+    miss more than noise (`ROUGH`).
     """
     inside = np.flatnonzero(run.compared)
     size = np.abs(run.seen(run.y))
@@ -65,7 +69,8 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
     row = np.sqrt(np.mean(size[:, inside] ** 2, axis=1, keepdims=True))
     sigma = np.sqrt(noise + (floor * size) ** 2 + (DISTORTION * floor) ** 2 * local + (0.02 * floor * row) ** 2)
     sigma = np.hypot(sigma, run.miss * row)
-    most *= OPEN if run.open else PERIODIC if run.lasting else 1
+    if run.miss < ROUGH:
+        most *= OPEN if run.open else PERIODIC if run.lasting else 1
     if most and inside.size > most:
         rng = np.random.default_rng(inside.size)
         on, off = inside[run.excited[inside]], inside[~run.excited[inside]]
