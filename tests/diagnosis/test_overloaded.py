@@ -45,23 +45,25 @@ def test_a_channel_that_clips_in_one_run_is_named_beside_the_law(cut):
     assert abs(clip.value[0] - rail) < 4 * clip.std[0]
 
 
-def test_no_channel_is_said_to_clip_that_does_not():
+@pytest.fixture(scope="module")
+def whole():
     observations = observe_all(recorded()[0])
-    found = diagnose(chain(), observations)
+    return observations, diagnose(chain(), observations)
+
+
+def test_no_channel_is_said_to_clip_that_does_not(whole):
+    observations, found = whole
     assert [n.term.mechanism.id for n in found.named] == ["cubic-stiffness"]
     assert overloaded(found.detail["nonlinear"], observations) is None
 
 
-def test_what_was_cut_off_is_put_back(cut):
-    recordings, _ = cut
-    observations = observe_all(recordings)
-    whole = observe_all(recorded()[0])
-    found = diagnose(chain(), whole).detail["nonlinear"]
-    one = overloaded(found, observations)
+def test_what_was_cut_off_is_put_back(cut, whole):
+    observations, free_of_it = observe_all(cut[0]), whole[0]
+    one = overloaded(whole[1].detail["nonlinear"], observations)
     assert one is not None
     assert one.output == 2
     spared = 0
-    for o, free in zip(observations, whole, strict=True):
+    for o, free in zip(observations, free_of_it, strict=True):
         made = one.restored(o)
         assert o.run is not None
         assert free.run is not None
@@ -77,4 +79,4 @@ def test_what_was_cut_off_is_put_back(cut):
         else:
             assert made is o
             spared += 1
-    assert 0 < spared < len(whole)
+    assert 0 < spared < len(free_of_it)

@@ -36,6 +36,8 @@ LOWEST = 0.4
 """Rail, of the highest reading that is predicted, below which none is sought."""
 LOOKED_AT = 24
 """Rails that are looked at before the best is refined."""
+OWN = 1e-3
+"""Standard deviation of a rail, relative, beyond what noise leaves: the law's own errors beside it."""
 FINE = 8
 """Samples of the predicted reading to one of the run: what is cut off has steep flanks."""
 
@@ -165,7 +167,7 @@ def _cut(
     before, after = remains(max(tops))[touched].sum(), remains(rail)[touched].sum()
     bend = float((remains(rail + step) + remains(rail - step) - 2 * remains(rail)).sum()) / step**2
     size = sum(m.size for m, there in zip(made, touched, strict=True) if there)
-    std = float(np.sqrt(max(after / max(size, 1), 1.0) / bend)) if bend > 0 else step
+    std = float(np.hypot(np.sqrt(max(after / max(size, 1), 1.0) / bend), OWN * rail)) if bend > 0 else step
     return _Rail(rail, std, float(after / before) if before > 0 else 1.0, cut(rail))
 
 
