@@ -8,12 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from labnnum.diagnosis.nonlinear import chain, study
+from labnnum.diagnosis import diagnose
+from labnnum.diagnosis.nonlinear import chain, decision, study
 from labnnum.diagnosis.nonlinear.lines import OPEN, PERIODIC, ROUGH, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 from labnnum.mechanisms.base import Place
+from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import chain as masses
-from tests.diagnosis.test_nonlinear import runs
+from tests.diagnosis.test_nonlinear import joint_23, runs
 
 SPOTS = [Spot(Place("ground", str(i)), "x", np.eye(5)[i]) for i in range(5)]
 
@@ -99,3 +101,13 @@ def test_runs_with_thousands_of_lines_are_compared_on_more_of_them():
     assert choose_lines(replace(run, decay=1.0), most).at.size == most
     assert choose_lines(replace(run, miss=ROUGH), most).at.size == most
     assert choose_lines(run).at.size == np.count_nonzero(run.compared)
+
+
+def test_a_law_for_which_the_base_bends_beyond_any_sound_structure_is_not_named(monkeypatch):
+    """It keeps its place and its reason, and is not called linear: of a base that may not bend at all."""
+    monkeypatch.setattr(decision, "WARPED", 0.0)
+    found = diagnose(masses(), runs([Element("cubic", joint_23(), (2e4,))], masses()))
+    assert found.named == ()
+    assert found.verdict == "unexplained"
+    assert found.detail["nonlinear"].reason == decision.BOUGHT
+    assert str(found.detail["nonlinear"].place) == "joint 2-3"

@@ -170,3 +170,21 @@ def test_the_force_is_drawn_as_the_last_base_shows_it(cubic):
     off, near = (np.linalg.norm(c.force - c.law) / np.linalg.norm(c.law) for c in (wrong, right))
     assert near < 0.3
     assert near < 0.5 * off
+
+
+def test_the_force_of_an_even_law_is_drawn_with_the_mean_that_accelerometers_do_not_show():
+    """A quadratic spring pushes one way on the average: recovered from accelerations alone its force has no mean."""
+    bench, _, every = bench_of(observe_all([recorded(Element("quadratic", joint_23(), (5e2,)), 25.0)]))
+    spot = next(s for s in every if {s.place.id, s.place.to} == {"2", "3"})
+    bench = bench.on(FINE)
+    lead = Lead(spot, "quadratic-stiffness", np.append(5e2, np.zeros(N_P - 1)), 0.0)
+    joint = bench.joint_of([replace(lead.acting(), last=True)])
+    one = tried_fit(joint, joint.start(), [None], lead, 12)
+    assert one is not None
+    seen = recover(bench.joint([]), one.made.x[: one.made.bare], bench.point, spot)
+    assert abs(np.mean(seen.f[0])) < 1e-6 * np.ptp(seen.f[0])
+    drawn = curves(study_of(bench, recovered=(seen,)), one, one.made, bench.scatter)[-1]
+    assert np.mean(drawn.z) == pytest.approx(np.mean(one.made.orbits[0].motion[:, 0, 0]), rel=0.05)
+    assert np.mean(drawn.law) > 0.2 * np.std(drawn.law)
+    assert np.mean(drawn.force) == pytest.approx(np.mean(drawn.law), rel=0.02)
+    assert np.corrcoef(drawn.force, drawn.law)[0, 1] > 0.8

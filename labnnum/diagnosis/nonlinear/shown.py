@@ -34,7 +34,8 @@ def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter
     """Force recovered from the measurement and the law along the motion, at the best place, thinned for drawing.
 
     Recovered through the base of the `last` fit, beside its other laws, where one is given: a base that was fitted
-    without the law may hold a part of it.
+    without the law may hold a part of it. Means, which no line of the band shows, are those of the simulated motion
+    and of the law; after a hit, which has none that lasts, they stay as they are.
     """
     here = best.spot.place, best.spot.axis.lstrip("-")
     seen = next((q for q in found.recovered if (q.spot.place, q.spot.axis) == here), None)
@@ -49,12 +50,22 @@ def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter
     full = np.zeros(N_P)
     full[: p.size] = p
     out = []
-    for run, z, v, f in zip(found.runs, seen.z, seen.v, seen.f, strict=True):
+    for i, (run, z, v, f) in enumerate(zip(found.runs, seen.z, seen.v, seen.f, strict=True)):
+        rest = 0.0 if run.decay or last is None or not same else _rest(last, same[0], i)
+        z = z + np.where(z == 0.0, 0.0, sign * rest)
         law = force_along(term.shape, sign * z, sign * v, full) * sign
+        if not run.decay:
+            f = f - np.where(f == 0.0, 0.0, np.mean(law[f != 0.0]) if np.any(f) else 0.0)
         heard = z.size if not run.decay else int(z.size * min(1.0, -np.log(HEARD) * run.rate / run.decay / run.period))
         pick = slice(0, heard, max(heard // 3000, 1))
         out.append(Curve(run.level, z[pick], v[pick], -f[pick], law[pick]))
     return tuple(out)
+
+
+def _rest(last: Made, own: int, i: int) -> float:
+    """Mean of the simulated motion of law `own` over run `i`; zero where it was not simulated."""
+    orbit = last.orbits[i] if i < len(last.orbits) else None
+    return 0.0 if orbit is None else float(np.mean(orbit.motion[:, own, 0]))
 
 
 def _beside(found: Study, last: Made, own: int, seen: Recovered, scatter: Scatter) -> Recovered:
