@@ -102,6 +102,7 @@ class Followed(Joint):
         whole = rfft((force * window_of(run, force.size) / size).astype(np.float32))[: run.u.size]
         return np.asarray(whole, np.complex128) * (2 * size / force.size)
 
+    @np.errstate(over="ignore", invalid="ignore")  # a nudged parameter may push a force beyond all numbers
     def slopes(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, list[Orbit | None]]:
         """Derivatives of the whitened responses, (n_out, n_x, N), the motions held."""
         made = self.receptances(x)
