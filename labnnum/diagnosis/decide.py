@@ -22,6 +22,9 @@ from labnnum.diagnosis.worth import Judge, alarmed, improves, missing, one_law, 
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
 
+TOLD = 2.0
+"""Deviations below which the strength of a law is not told from nothing."""
+HELD = "several laws hold the place alike, and of none the strength is told: there it may be any other"
 CHANGES = 0.1
 """Change of the FRFs with level, relative and beyond noise, that no sound structure shows."""
 
@@ -108,7 +111,7 @@ def decide(
         verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
     place = named[0].place if named else None
     if verdict == "unexplained":
-        place = _best_place(selection)
+        place = selection.chain[1].last.place if reason == HELD else _best_place(selection)
     alternatives = _alternatives(engine, stage, final, test, limits, named)
     source = final if named else base
     n = engine.theta0.size
@@ -183,8 +186,24 @@ def _verdict(
     for i, candidate in enumerate(selection.chain[1:]):
         rivals = selection.stages[i]
         named.append(named_of(final.fit, i + len(base.terms), _confidence(rivals, candidate), scatter))
+    if len(named) == 1 and _any_strength(named[0], stage, best, limits.name * excess):
+        return "unexplained", (), HELD
     verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
     return verdict, tuple(named), ""
+
+
+def _any_strength(named: Named, stage: Sequence[Candidate], best: Candidate, enough: float) -> bool:
+    """Whether nothing of a law is told from nothing, and another law at its place explains as much: whatever holds a
+    place far tighter than the structure does leaves the same response.
+    """
+    if np.any(np.abs(named.value) >= TOLD * named.std):
+        return False
+    return any(
+        c.last.place == best.last.place
+        and c.last.mechanism.id != best.last.mechanism.id
+        and c.cost - best.cost < enough
+        for c in stage
+    )
 
 
 def _lead(

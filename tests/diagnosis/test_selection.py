@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis import linear
+from labnnum.diagnosis.decide import _any_strength
 from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.unnamed import told_all
 from labnnum.diagnosis.verdict import Limits
@@ -46,3 +47,22 @@ def test_a_second_mechanism_without_which_there_is_no_structure_takes_no_place(m
     assert linear._in_its_place(task, found, first) is None
     monkeypatch.setattr(linear, "with_terms", lambda task, last, pick: candidate(NOISE, 5, 10.0))
     assert linear._in_its_place(task, found, first).cost == 10.0
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "place", "behind", "any_strength"),
+    [
+        ([1.6e4], [0.9e4], "17", 0.0, True),  # dashpot or viscoelastic mount: either holds the node
+        ([1.6e4], [0.1e4], "17", 0.0, False),  # its strength is told
+        ([1.6e4, 2.0], [0.9e4, 0.1], "17", 0.0, False),  # so is another of its parameters
+        ([1.6e4], [0.9e4], "5", 0.0, False),  # the other law is elsewhere
+        ([1.6e4], [0.9e4], "17", 50.0, False),  # and explains less
+    ],
+)
+def test_a_law_of_any_strength_that_another_at_its_place_equals_is_not_told(value, std, place, behind, any_strength):
+    def law(name, place, cost):
+        return SimpleNamespace(last=SimpleNamespace(mechanism=SimpleNamespace(id=name), place=place), cost=cost)
+
+    best = law("local-dashpot", "17", 100.0)
+    named = SimpleNamespace(value=np.array(value), std=np.array(std))
+    assert _any_strength(named, [best, law("viscoelastic", place, 100.0 + behind)], best, 20.0) is any_strength
