@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
-from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
+from labnnum.diagnosis.nonlinear.follow import along, marched_from
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Joint
@@ -36,23 +36,22 @@ def settled_on(
         found.engine, found.point, runs, best.made.terms, scatter, [choose_lines(r, 300, scatter.floor) for r in runs]
     )
     known = list(best.made.orbits)
-    start = [*known, *_begun(joint, best.made.x, len(known))]
+    tied = any(o is not None and o.tie is not None for o in known)
+    start = [*known, *_begun(joint, best.made.x, len(known), tied)]
     return joint, (best.made.x, joint.settle(best.made.x, start, 12))
 
 
-def _begun(joint: Joint, x: NDArray, first: int) -> list[Orbit | None]:
+def _begun(joint: Joint, x: NDArray, first: int, tied: bool) -> list[Orbit | None]:
     """Where the march over the runs from `first` on begins: at the law's force along the motion that they show.
 
-    A law that softens or sticks may have other steady states, to which a march from nothing would go.
+    A law that softens or sticks may have other steady states, to which a march from nothing would go; noise is `tied`
+    to the motion while it begins, where the training runs are.
     """
-    rest = joint.runs[first:]
-    if not joint.k or not rest:
-        return [None] * len(rest)
-    shown = Followed(joint.engine, joint.point, rest, joint.terms, joint.scatter, joint.lines[first:])
-    orbits = shown.settle(x, [None] * len(rest), 0)
-    marched = marched_from(joint, x, [*([None] * first), *orbits])[first:]
-    kept = [None if o is None or not np.isfinite(o.time).all() else o for o in marched]
-    return kept if all(r.lasting for r in rest) else [None] * len(rest)
+    rest = joint.over(range(first, len(joint.runs)))
+    if not joint.k or not rest.runs or not (tied or all(r.lasting for r in rest.runs)):
+        return [None] * len(rest.runs)
+    marched = marched_from(rest, x, along(rest, x), tied=tied)
+    return [None if o is None or not np.isfinite(o.time).all() else o for o in marched]
 
 
 def base_errors(

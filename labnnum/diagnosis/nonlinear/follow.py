@@ -26,6 +26,7 @@ from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.tie import dashpots, tie_of
 from labnnum.diagnosis.scatter import Scatter
 
 SLOW = 0.05
@@ -142,10 +143,15 @@ def _on(r: Receptance, lines: NDArray) -> Receptance:
     return replace(r, plain=r.plain[:, lines], h=r.h[..., lines], lift=r.lift[:, lines], lines=lines, marches={})
 
 
-def marched_from(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> list[Orbit | None]:
-    """Where the march of `joint` begins: the steady states of the forces that were followed."""
+def marched_from(
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], *, tied: bool = False
+) -> list[Orbit | None]:  # fmt: skip
+    """Where the march of `joint` begins: the steady states of the forces that were followed; `tied`: open runs are
+    brought into step with the motions that were.
+    """
     made = joint.receptances(x)
     out: list[Orbit | None] = []
+    pushed = [dashpots(o) for o in orbits if o is not None] if tied else []
     for run, steady, orbit in zip(joint.runs, joint.steady, orbits, strict=True):
         if orbit is None:
             out.append(None)
@@ -153,5 +159,14 @@ def marched_from(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> li
         n = orbit.time.shape[0]
         spectrum = np.fft.rfft(orbit.time * window_of(run, n, ends=False)[:, None], axis=0)[: run.u.size] * (2 / n)
         time = np.moveaxis(steady.to_time(np.ascontiguousarray(spectrum.T)), -1, 0)
-        out.append(steady.guess(made[run.key], np.ascontiguousarray(time)))
+        begun = steady.guess(made[run.key], np.ascontiguousarray(time))
+        if tied and run.open:
+            begun = replace(begun, tie=tie_of(orbit, steady.n, np.max(pushed, axis=0)))
+        out.append(begun)
     return out
+
+
+def along(joint: Joint, x: NDArray) -> list[Orbit | None]:
+    """The laws of `joint` along the motions that its runs show through the base at `x`."""
+    shown = Followed(joint.engine, joint.point, joint.runs, joint.terms, joint.scatter, joint.lines)
+    return shown.settle(x, [None] * len(joint.runs), 0)

@@ -16,7 +16,7 @@ from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.leads import OWN, general_lead, law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
-from labnnum.diagnosis.nonlinear.orbit import Orbit
+from labnnum.diagnosis.nonlinear.orbit import Orbit, Tie
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
 from labnnum.diagnosis.nonlinear.receptance import per_place
 from labnnum.diagnosis.scatter import Scatter
@@ -118,8 +118,16 @@ def _with_one_more(o: Orbit | None) -> Orbit | None:
     return Orbit(
         o.x, np.append(o.f, 0.0), np.vstack([o.memory, np.zeros_like(o.memory[:1])]), np.vstack([o.force, zero]),
         np.hstack([o.time, np.zeros((o.time.shape[0], 1))]),
-        np.concatenate([o.motion, np.zeros((o.motion.shape[0], 1, 2))], axis=1), o.closing,
+        np.concatenate([o.motion, np.zeros((o.motion.shape[0], 1, 2))], axis=1), o.closing, tie=_free(o.tie),
     )  # fmt: skip
+
+
+def _free(tie: Tie | None) -> Tie | None:
+    """The tie with one more place, which it leaves alone."""
+    if tie is None:
+        return None
+    zero = np.zeros((tie.motion.shape[0], 1, 2))
+    return Tie(np.concatenate([tie.motion, zero], axis=1), np.append(tie.dashpot, 0.0))
 
 
 def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, lines: int = 250) -> list[Tried]:
@@ -206,7 +214,9 @@ def _vector(made: Made, terms: Sequence[int]) -> NDArray[np.float64]:
 def _orbits(made: Made, terms: Sequence[int]) -> list[Orbit | None]:
     """The fit's orbits with the forces `terms` only."""
     at = list(terms)
-    return [
-        None if o is None else Orbit(o.x, o.f[at], o.memory[at], o.force[at], o.time[:, at], o.motion[:, at], o.closing)
-        for o in made.orbits
-    ]
+
+    def some(o: Orbit) -> Orbit:
+        tie = None if o.tie is None else Tie(o.tie.motion[:, at], o.tie.dashpot[at])
+        return Orbit(o.x, o.f[at], o.memory[at], o.force[at], o.time[:, at], o.motion[:, at], o.closing, tie=tie)
+
+    return [None if o is None else some(o) for o in made.orbits]

@@ -28,6 +28,7 @@ LAWS: dict[str, tuple[str, ...]] = {
     "hysteresis": ("k", "limit", "n", "beta_share"),
     "general": tuple(f"c{i}" for i in range(10)),
     "sliders": ("k_t", "F_s", "spread"),
+    "dashpot": ("c",),
 }
 """Laws and their parameters; z is the motion, v its rate, the force opposes:
 
@@ -37,6 +38,7 @@ LAWS: dict[str, tuple[str, ...]] = {
 - general: a smooth law without memory; see `labnnum.diagnosis.nonlinear.laws.general_basis`
 - sliders: `SLIDERS` sliders on equal springs side by side, k_t and F_s of all together, whose limits are spread evenly
   over the mean one times 1 - spread to 1 + spread (Iwan 1966)
+- dashpot c v: no mechanism of its own, but what ties a march to a motion (`tied`)
 """
 
 CODES = {name: code for code, name in enumerate(LAWS)}
@@ -167,6 +169,9 @@ def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
     if code == 9:
         force, slope = _slide(z, p, memory, lp)
         return force, slope, 0.0
+    if code == 10:
+        lp[0] = v
+        return p[0] * v, 0.0, p[0]
     az, av = abs(z), abs(v)
     lp[0] = z * az
     lp[1] = z * z

@@ -15,12 +15,21 @@ SINGULAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
+class Tie:
+    """Motion (n, k, 2) at the laws' places that the measurement shows, and dashpots (k,) that tie a march to it."""
+
+    motion: NDArray[np.float64]
+    dashpot: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class Orbit:
     """A steady state: modal state (2, m), forces (k,) and memory (k, M) just before time 0, and over the period.
 
     `force` (k, n_lines) spectrum of the forces on the structure, `time` (n, k) the same in time, `motion` (n, k, 2).
     `closing` relative change of the state over the period; `bad` steps whose forces did not settle. `fed` the forces
-    from which the correction of the march was taken, where those are others than `force`.
+    from which the correction of the march was taken, where those are others than `force`. `tie` of an open run what
+    brings its march into step with the measured one.
     """
 
     x: NDArray
@@ -34,11 +43,26 @@ class Orbit:
     floquet: NDArray | None = None
     inverse: NDArray | None = None
     fed: NDArray | None = None
+    tie: Tie | None = None
 
     @property
     def source(self) -> NDArray:
         """Spectrum (k, n_lines) of the forces that the march is to be corrected by."""
         return self.force if self.fed is None else self.fed
+
+
+@dataclass(frozen=True, eq=False)
+class Marched:
+    """What a march over a run gives: the state at its end, forces and motions, tangents' ends and those of the forces,
+    and the number of steps whose forces did not settle.
+    """
+
+    state: NDArray
+    time: NDArray
+    motion: NDArray
+    end: NDArray
+    slopes: NDArray
+    bad: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +102,7 @@ def scaled(orbit: Orbit, factor: NDArray) -> Orbit:
         orbit, f=orbit.f * less, memory=orbit.memory * factor[:, None], force=orbit.force * less[:, None],
         time=orbit.time * less, motion=motion, floquet=turned[0], inverse=turned[1],
         fed=None if orbit.fed is None else orbit.fed * less[:, None],
+        tie=None if orbit.tie is None else Tie(orbit.tie.motion * factor[:, None], orbit.tie.dashpot * less**2),
     )  # fmt: skip
 
 

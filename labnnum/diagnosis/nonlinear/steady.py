@@ -12,7 +12,7 @@ The eigenvalues of the closing tangents are the Floquet multipliers of the orbit
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,10 @@ from scipy.fft import irfft, rfft
 from labnnum.diagnosis.nonlinear.discrete import Discrete, described, discrete, feedback
 from labnnum.diagnosis.nonlinear.effort import marched
 from labnnum.diagnosis.nonlinear.march import N_P, march, remembered
-from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit, Slopes, closed, parts_of, relative, state_of
+from labnnum.diagnosis.nonlinear.orbit import CLOSED, Marched, Orbit, Slopes, closed, parts_of, relative, state_of
 from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.run import Run, precise
+from labnnum.diagnosis.nonlinear.tie import Stepping, resampled, tied_march
 from labnnum.errors import EstimationError
 
 PASSES = (4, 2)
@@ -51,6 +52,8 @@ class Steady:
         self.k = self.codes.size
         self.room = remembered(self.codes.tolist())
         self.fine = fine
+        self.tie = 0.0
+        """How tightly an open run's march is tied to the measured motion after it is in step, of how tightly before."""
         self.n = run.period * fine
         self.step = 1.0 / (run.rate * fine)
         self.lines = run.u.size
@@ -211,8 +214,8 @@ class Steady:
         if orbit.time.shape[0] == self.n:
             return orbit
         time = np.ascontiguousarray(np.moveaxis(self.to_time(orbit.force), -1, 0))
-        motion = np.zeros((self.n, self.k, 2))
-        return replace(orbit, time=time, motion=motion, closing=np.inf, inverse=None, floquet=None)
+        motion, tie = np.zeros((self.n, self.k, 2)), None if orbit.tie is None else resampled(orbit.tie, self.n)
+        return replace(orbit, time=time, motion=motion, closing=np.inf, inverse=None, floquet=None, tie=tie)
 
     def _passes(self, r: Receptance, p: NDArray, orbit: Orbit, tolerance: float) -> Orbit:
         """The march from rest (a hit), or from where the stretch ends (an open run), until its correction stands."""
@@ -230,7 +233,7 @@ class Steady:
             closing = float(np.linalg.norm(change) / size)
             force = self.to_lines(one.time)
             fed = self.fed(r, made, orbit, one.motion, one.time, force)
-            orbit = Orbit(x, f, memory, force, one.time, one.motion, closing, one.bad, fed=fed)
+            orbit = Orbit(x, f, memory, force, one.time, one.motion, closing, one.bad, fed=fed, tie=orbit.tie)
             if closing < tolerance:
                 break
         return orbit
@@ -308,7 +311,7 @@ class Steady:
         change = relative(one.time - orbit.time, one.time)
         force = self.to_lines(one.time)
         fed = self.fed(r, made, orbit, one.motion, one.time, force)
-        new = Orbit(x, f, memory, force, one.time, one.motion, float(change), one.bad, fed=fed)
+        new = Orbit(x, f, memory, force, one.time, one.motion, float(change), one.bad, fed=fed, tie=orbit.tie)
         moved = self.fed_on(r, made, new, self.tangents(one.slopes)[..., r.lines])
         if ds is None:
             moved = np.concatenate([described(r, self.run, new, base), moved])
@@ -317,8 +320,13 @@ class Steady:
     def _march(
         self, made: Discrete, source: NDArray, p: NDArray, orbit: Orbit, *, homogeneous: bool = False,
         ds: NDArray | None = None, vary: NDArray | None = None,
-    ) -> _Marched:  # fmt: skip
+    ) -> Marched:  # fmt: skip
         m, k = made.w.shape[1], self.k
+        if orbit.tie is not None and self.run.open:
+            on = Stepping(
+                made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, made.seated, self.codes, self.step
+            )
+            return tied_march(on, source, p, orbit, self.tie, ds, vary)
         n_s = 0 if ds is None else ds.shape[3]
         n_v = 0 if vary is None else vary.shape[0]
         n_h = 2 * m + (1 + self.room) * k if homogeneous else 0
@@ -345,14 +353,4 @@ class Steady:
             self.codes, np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes,
         )  # fmt: skip
         end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(self.room * k, nt)])
-        return _Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)
-
-
-@dataclass(frozen=True, eq=False)
-class _Marched:
-    state: NDArray
-    time: NDArray
-    motion: NDArray
-    end: NDArray
-    slopes: NDArray
-    bad: int
+        return Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)

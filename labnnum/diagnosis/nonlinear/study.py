@@ -27,6 +27,7 @@ from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.laws import SHAPES, general_basis
 from labnnum.diagnosis.nonlinear.leads import UNNAMED, general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
+from labnnum.diagnosis.nonlinear.loosen import led_astray, loosened
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import KINKED, Joint, reduced, steps_of
 from labnnum.diagnosis.nonlinear.run import Run
@@ -130,6 +131,8 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
             out.append(t)
             continue
         one = t if t.simulated else bench.simulate(t, LONG)
+        if led_astray(bench, t, one):
+            one = min((m for m in (one, loosened(bench, t)) if m is not None), key=lambda m: m.cost, default=None)
         if one is None:
             continue
         if calm is not None and not t.simulated and _bent(bench, one):

@@ -1,0 +1,104 @@
+"""A march that is tied to the motion which the measurement shows: while it begins, or all along.
+
+Play in noise hardly forgets how a stretch began: over half of its length, and more, it runs as a wrong beginning left
+it, though every mode of the structure has long died out; and from where it takes a wrong turn on it runs elsewhere. A
+dashpot between the place and the motion that is recovered there costs nothing where both agree, and brings the march
+back where they do not (a chaotic response that is driven into step: Abarbanel et al. 2009; Voss et al. 2004).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from labnnum.diagnosis.nonlinear.march import CODES, N_P, march
+from labnnum.diagnosis.nonlinear.orbit import Marched, Orbit, Tie
+
+HIDDEN, IN_STEP = 0.11, 0.2
+"""Parts of a stretch: what its window hides at either end, so that no motion is known; and where the tie ends that
+brings the march into step. What is compared of the response weighs 3 % up to there."""
+DASHPOT = CODES["dashpot"]
+
+
+@dataclass(frozen=True, eq=False)
+class Stepping:
+    """What a march takes of its base: see `discrete.Discrete`, and of its laws."""
+
+    T: NDArray
+    W0: NDArray
+    W1: NDArray
+    w: NDArray
+    inner: NDArray
+    rate: NDArray
+    back: NDArray
+    seated: NDArray
+    codes: NDArray
+    step: float
+
+
+def tied_march(
+    on: Stepping, source: NDArray, p: NDArray, orbit: Orbit, tie: float, ds: NDArray | None, vary: NDArray | None
+) -> Marched:  # fmt: skip
+    """The march over an open run from `orbit`, whose motions are tied as its `tie` says until they are in step, and
+    `tie` times as tightly from there on. Forces are those of the laws and of the ties together.
+    """
+    bond = orbit.tie
+    assert bond is not None
+    n, k, m, room = source.shape[0], source.shape[1], on.w.shape[1], orbit.memory.shape[1]
+    n_s, n_v = 0 if ds is None else ds.shape[3], 0 if vary is None else vary.shape[0]
+    nt = n_s + n_v
+    X = np.zeros((2, m, nt))
+    df, dmem, dp = np.zeros((2 * k, nt)), np.zeros((2 * k, room, nt)), np.zeros((2 * k, N_P, nt))
+    if vary is not None:
+        dp[:k, :, n_s:] = np.moveaxis(vary, 0, -1)
+    if ds is None:
+        ds = np.zeros((n, k, 2, 0), np.float32)
+    forces, motion, slopes = np.empty((n, k)), np.empty((n, k, 2)), np.empty((n, k, nt), np.float32)
+    x, f = orbit.x.copy(), np.concatenate([orbit.f, np.zeros(k)])
+    memory = np.concatenate([orbit.memory, np.zeros((k, room))])
+    w = np.ascontiguousarray(np.tile(on.w, (2, 1)))
+    inner, rate, back = (np.ascontiguousarray(np.tile(a, (2, 2))) for a in (on.inner, on.rate, on.back))
+    seated, codes = np.tile(on.seated, 2), np.concatenate([on.codes, np.full(k, DASHPOT)])
+    both = np.concatenate([source, source - bond.motion], axis=1)
+    a, b, c = int(HIDDEN * n), int(IN_STEP * n), int((1 - HIDDEN) * n)
+    bad = 0
+    for low, high, tight in ((0, a, 0.0), (a, b, max(1.0, tie)), (b, c, tie), (c, n, 0.0)):
+        laws = np.zeros((2 * k, N_P))
+        laws[:k], laws[k:, 0] = p, tight * bond.dashpot
+        size = high - low
+        one, moved, along = np.empty((size, 2 * k)), np.empty((size, 2 * k, 2)), np.empty((size, 2 * k, nt), np.float32)
+        pushed = np.ascontiguousarray(np.tile(ds[low:high], (1, 2, 1, 1)))
+        bad += march(
+            on.T, on.W0, on.W1, w, inner, rate, back, seated, on.step, np.ascontiguousarray(both[low:high]), codes,
+            laws, x, f, memory, one, moved, X, df, dmem, dp, pushed, along,
+        )  # fmt: skip
+        forces[low:high], motion[low:high] = one[:, :k] + one[:, k:], moved[:, :k]
+        slopes[low:high] = along[:, :k] + along[:, k:]
+    end = np.concatenate([X.reshape(2 * m, nt), df[:k], dmem[:k].reshape(room * k, nt)])
+    state = np.concatenate([x.reshape(-1), f[:k], memory[:k].reshape(-1)])
+    return Marched(state, forces, motion, end, slopes, bad)
+
+
+def tie_of(followed: Orbit, n: int, dashpot: NDArray) -> Tie:
+    """The tie to a motion that was followed, on n samples."""
+    return Tie(_sampled(followed.motion[:, :, :2], n), dashpot)
+
+
+def dashpots(followed: Orbit) -> NDArray[np.float64]:
+    """Dashpots (k,) at the laws' places that push as hard as what is recovered there."""
+    _, v, f = np.moveaxis(followed.motion, 2, 0)
+    return np.linalg.norm(f, axis=0) / np.maximum(np.linalg.norm(v, axis=0), 1e-300)
+
+
+def resampled(tie: Tie, n: int) -> Tie:
+    """The same on n samples."""
+    return tie if tie.motion.shape[0] == n else Tie(_sampled(tie.motion, n), tie.dashpot)
+
+
+def _sampled(motion: NDArray, n: int) -> NDArray[np.float64]:
+    """Motions (m, k, 2) over a stretch on n samples."""
+    m = motion.shape[0]
+    return np.ascontiguousarray(CubicSpline(np.arange(m) / m, motion)(np.arange(n) / n))
