@@ -14,6 +14,7 @@ from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.suspect import heard
+from labnnum.diagnosis.nonlinear.tie import tightness
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 
@@ -36,21 +37,20 @@ def settled_on(
         found.engine, found.point, runs, best.made.terms, scatter, [choose_lines(r, 300, scatter.floor) for r in runs]
     )
     known = list(best.made.orbits)
-    tied = any(o is not None and o.tie is not None for o in known)
-    start = [*known, *_begun(joint, best.made.x, len(known), tied)]
+    start = [*known, *_begun(joint, best.made.x, len(known), tightness(known))]
     return joint, (best.made.x, joint.settle(best.made.x, start, 12))
 
 
-def _begun(joint: Joint, x: NDArray, first: int, tied: bool) -> list[Orbit | None]:
+def _begun(joint: Joint, x: NDArray, first: int, tight: float | None) -> list[Orbit | None]:
     """Where the march over the runs from `first` on begins: at the law's force along the motion that they show.
 
-    A law that softens or sticks may have other steady states, to which a march from nothing would go; noise is `tied`
-    to the motion while it begins, where the training runs are.
+    A law that softens or sticks may have other steady states, to which a march from nothing would go; noise is
+    brought into step with the motion, and held in it as tightly as the training runs are.
     """
     rest = joint.over(range(first, len(joint.runs)))
-    if not joint.k or not rest.runs or not (tied or all(r.lasting for r in rest.runs)):
+    if not joint.k or not rest.runs or (tight is None and not all(r.lasting for r in rest.runs)):
         return [None] * len(rest.runs)
-    marched = marched_from(rest, x, along(rest, x), tied=tied)
+    marched = marched_from(rest, x, along(rest, x), tight)
     return [None if o is None or not np.isfinite(o.time).all() else o for o in marched]
 
 

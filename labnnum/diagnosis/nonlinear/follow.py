@@ -144,14 +144,14 @@ def _on(r: Receptance, lines: NDArray) -> Receptance:
 
 
 def marched_from(
-    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], *, tied: bool = False
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], tight: float | None = None
 ) -> list[Orbit | None]:  # fmt: skip
-    """Where the march of `joint` begins: the steady states of the forces that were followed; `tied`: open runs are
-    brought into step with the motions that were.
+    """Where the march of `joint` begins: the steady states of the forces that were followed. With `tight` open runs are
+    brought into step with the motions that were, and held so by so many dashpots.
     """
     made = joint.receptances(x)
     out: list[Orbit | None] = []
-    pushed = [dashpots(o) for o in orbits if o is not None] if tied else []
+    pushed = [] if tight is None else [dashpots(o) for o in orbits if o is not None]
     for run, steady, orbit in zip(joint.runs, joint.steady, orbits, strict=True):
         if orbit is None:
             out.append(None)
@@ -160,8 +160,8 @@ def marched_from(
         spectrum = np.fft.rfft(orbit.time * window_of(run, n, ends=False)[:, None], axis=0)[: run.u.size] * (2 / n)
         time = np.moveaxis(steady.to_time(np.ascontiguousarray(spectrum.T)), -1, 0)
         begun = steady.guess(made[run.key], np.ascontiguousarray(time))
-        if tied and run.open:
-            begun = replace(begun, tie=tie_of(orbit, steady.n, np.max(pushed, axis=0)))
+        if tight is not None and run.open:
+            begun = replace(begun, tie=tie_of(orbit, steady.n, np.max(pushed, axis=0), tight))
         out.append(begun)
     return out
 

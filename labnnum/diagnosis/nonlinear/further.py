@@ -127,7 +127,7 @@ def _free(tie: Tie | None) -> Tie | None:
     if tie is None:
         return None
     zero = np.zeros((tie.motion.shape[0], 1, 2))
-    return Tie(np.concatenate([tie.motion, zero], axis=1), np.append(tie.dashpot, 0.0))
+    return replace(tie, motion=np.concatenate([tie.motion, zero], axis=1), dashpot=np.append(tie.dashpot, 0.0))
 
 
 def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, lines: int = 250) -> list[Tried]:
@@ -216,7 +216,7 @@ def _orbits(made: Made, terms: Sequence[int]) -> list[Orbit | None]:
     at = list(terms)
 
     def some(o: Orbit) -> Orbit:
-        tie = None if o.tie is None else Tie(o.tie.motion[:, at], o.tie.dashpot[at])
+        tie = None if o.tie is None else replace(o.tie, motion=o.tie.motion[:, at], dashpot=o.tie.dashpot[at])
         return Orbit(o.x, o.f[at], o.memory[at], o.force[at], o.time[:, at], o.motion[:, at], o.closing, tie=tie)
 
     return [None if o is None else some(o) for o in made.orbits]

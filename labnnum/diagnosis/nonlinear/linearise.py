@@ -11,18 +11,22 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Study
 from labnnum.diagnosis.nonlinear.fitting import Made
+from labnnum.diagnosis.nonlinear.follow import along, marched_from
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Joint, reduced
 from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.records import hits_of, stretch_of
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.tie import tightness
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.recording import Recording
 
 LINES = 400
 """Lines of a run that tell the ordinary errors of its sensors beside a law."""
+IN_STEP = 0.1
+"""How tightly a march that would leave the structure's own way is tied to the measured motion over a whole record."""
 
 
 def linearised(
@@ -100,7 +104,11 @@ def linearised_records(
         some = [choose_lines(r, LINES, scatter.floor) for r in runs]
         joint = Joint(found.engine, found.point, runs, last.terms, scatter, some, whole=True)
         made = joint.receptances(last.x)
-        orbits = joint.settle(last.x, [None] * len(runs), 12)
+        begun: list[Orbit | None] = [None] * len(runs)
+        tight = tightness(last.orbits)
+        if tight is not None:
+            begun = marched_from(joint, last.x, along(joint, last.x), max(tight, IN_STEP))
+        orbits = joint.settle(last.x, begun, 12)
         errors = errors_of_sensors(joint, last.x, orbits, range(len(runs)))
         shares = []
         for run, orbit in zip(runs, orbits, strict=True):

@@ -16,10 +16,13 @@ SINGULAR = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """Motion (n, k, 2) at the laws' places that the measurement shows, and dashpots (k,) that tie a march to it."""
+    """Motion (n, k, 2) at the laws' places that the measurement shows, and dashpots (k,) that tie a march to it while
+    it begins; `tight`: how many of them do so from there on.
+    """
 
     motion: NDArray[np.float64]
     dashpot: NDArray[np.float64]
+    tight: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +105,9 @@ def scaled(orbit: Orbit, factor: NDArray) -> Orbit:
         orbit, f=orbit.f * less, memory=orbit.memory * factor[:, None], force=orbit.force * less[:, None],
         time=orbit.time * less, motion=motion, floquet=turned[0], inverse=turned[1],
         fed=None if orbit.fed is None else orbit.fed * less[:, None],
-        tie=None if orbit.tie is None else Tie(orbit.tie.motion * factor[:, None], orbit.tie.dashpot * less**2),
+        tie=None if orbit.tie is None else replace(
+            orbit.tie, motion=orbit.tie.motion * factor[:, None], dashpot=orbit.tie.dashpot * less**2
+        ),
     )  # fmt: skip
 
 

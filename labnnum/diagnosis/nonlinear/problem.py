@@ -182,6 +182,13 @@ class Joint:
         self.low, self.high, self.scale = np.concatenate(low), np.concatenate(high), np.concatenate(scale)
         self.used = (self.high > self.low)[self.n_base :]
 
+    def hold_places(self, x: NDArray | None) -> None:
+        """Hold the motions at the laws' places, as `x` has them, in the fits to come; None frees them again."""
+        self._bounds()
+        if x is not None:
+            at = slice(self.n_base - self.k * per_place(self.engine), self.n_base)
+            self.low[at] = self.high[at] = x[at]
+
     def begin(self, x: NDArray) -> NDArray[np.float64]:
         """The vector inside the bounds; what no line tells of stays where it is."""
         held = self._held

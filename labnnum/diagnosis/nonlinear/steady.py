@@ -52,8 +52,6 @@ class Steady:
         self.k = self.codes.size
         self.room = remembered(self.codes.tolist())
         self.fine = fine
-        self.tie = 0.0
-        """How tightly an open run's march is tied to the measured motion after it is in step, of how tightly before."""
         self.n = run.period * fine
         self.step = 1.0 / (run.rate * fine)
         self.lines = run.u.size
@@ -326,7 +324,7 @@ class Steady:
             on = Stepping(
                 made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, made.seated, self.codes, self.step
             )
-            return tied_march(on, source, p, orbit, self.tie, ds, vary)
+            return tied_march(on, source, p, orbit, ds, vary)
         n_s = 0 if ds is None else ds.shape[3]
         n_v = 0 if vary is None else vary.shape[0]
         n_h = 2 * m + (1 + self.room) * k if homogeneous else 0

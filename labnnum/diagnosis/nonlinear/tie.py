@@ -8,7 +8,8 @@ back where they do not (a chaotic response that is driven into step: Abarbanel e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +41,11 @@ class Stepping:
 
 
 def tied_march(
-    on: Stepping, source: NDArray, p: NDArray, orbit: Orbit, tie: float, ds: NDArray | None, vary: NDArray | None
+    on: Stepping, source: NDArray, p: NDArray, orbit: Orbit, ds: NDArray | None, vary: NDArray | None
 ) -> Marched:  # fmt: skip
-    """The march over an open run from `orbit`, whose motions are tied as its `tie` says until they are in step, and
-    `tie` times as tightly from there on. Forces are those of the laws and of the ties together.
+    """The march over an open run from `orbit`, whose motions are tied as its `tie` says.
+
+    Forces are those of the laws alone: what a tie has to do is missing in the response.
     """
     bond = orbit.tie
     assert bond is not None
@@ -65,7 +67,7 @@ def tied_march(
     both = np.concatenate([source, source - bond.motion], axis=1)
     a, b, c = int(HIDDEN * n), int(IN_STEP * n), int((1 - HIDDEN) * n)
     bad = 0
-    for low, high, tight in ((0, a, 0.0), (a, b, max(1.0, tie)), (b, c, tie), (c, n, 0.0)):
+    for low, high, tight in ((0, a, 0.0), (a, b, max(1.0, bond.tight)), (b, c, bond.tight), (c, n, 0.0)):
         laws = np.zeros((2 * k, N_P))
         laws[:k], laws[k:, 0] = p, tight * bond.dashpot
         size = high - low
@@ -75,16 +77,16 @@ def tied_march(
             on.T, on.W0, on.W1, w, inner, rate, back, seated, on.step, np.ascontiguousarray(both[low:high]), codes,
             laws, x, f, memory, one, moved, X, df, dmem, dp, pushed, along,
         )  # fmt: skip
-        forces[low:high], motion[low:high] = one[:, :k] + one[:, k:], moved[:, :k]
-        slopes[low:high] = along[:, :k] + along[:, k:]
+        forces[low:high], motion[low:high] = one[:, :k], moved[:, :k]
+        slopes[low:high] = along[:, :k]
     end = np.concatenate([X.reshape(2 * m, nt), df[:k], dmem[:k].reshape(room * k, nt)])
     state = np.concatenate([x.reshape(-1), f[:k], memory[:k].reshape(-1)])
     return Marched(state, forces, motion, end, slopes, bad)
 
 
-def tie_of(followed: Orbit, n: int, dashpot: NDArray) -> Tie:
+def tie_of(followed: Orbit, n: int, dashpot: NDArray, tight: float) -> Tie:
     """The tie to a motion that was followed, on n samples."""
-    return Tie(_sampled(followed.motion[:, :, :2], n), dashpot)
+    return Tie(_sampled(followed.motion[:, :, :2], n), dashpot, tight)
 
 
 def dashpots(followed: Orbit) -> NDArray[np.float64]:
@@ -93,9 +95,14 @@ def dashpots(followed: Orbit) -> NDArray[np.float64]:
     return np.linalg.norm(f, axis=0) / np.maximum(np.linalg.norm(v, axis=0), 1e-300)
 
 
+def tightness(orbits: Sequence[Orbit | None]) -> float | None:
+    """How tightly these are held in step with the measured motion; None where none is brought into it."""
+    return max((o.tie.tight for o in orbits if o is not None and o.tie is not None), default=None)
+
+
 def resampled(tie: Tie, n: int) -> Tie:
     """The same on n samples."""
-    return tie if tie.motion.shape[0] == n else Tie(_sampled(tie.motion, n), tie.dashpot)
+    return tie if tie.motion.shape[0] == n else replace(tie, motion=_sampled(tie.motion, n))
 
 
 def _sampled(motion: NDArray, n: int) -> NDArray[np.float64]:
