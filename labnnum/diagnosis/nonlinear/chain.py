@@ -15,6 +15,7 @@ from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, STRAINED, looked, nearest
 from labnnum.diagnosis.nonlinear.further import GAIN, further, needed
 from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.diagnosis.nonlinear.loosen import in_step
 from labnnum.diagnosis.nonlinear.study import FINE, UNSURE, at_places
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
@@ -162,7 +163,7 @@ def _unbent(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
     out: list[Tried] = []
     for q in [q for q in found.recovered if q.spot.place != one.spot.place][:ELSEWHERE]:
         followed = bench.follow(bare, replace(of_fit(one), spot=q.spot), LONG)
-        made = bench.simulate(followed, LONG) if followed is not None else None
+        made = in_step(bench, followed, LONG) if followed is not None else None
         out += [made] if made is not None else []
     return out
 

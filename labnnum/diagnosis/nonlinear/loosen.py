@@ -15,6 +15,7 @@ from dataclasses import replace
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fits, tried_fit
+from labnnum.diagnosis.nonlinear.explore import STRAINED
 from labnnum.diagnosis.nonlinear.follow import along, marched_from
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 
@@ -24,15 +25,33 @@ HOLDS = 1.0
 """Ties from which on the motion at the place is what it is tied to: how far it moves in a mode is then not fitted."""
 STEPS = 8
 """Steps of each of these fits."""
-STRAYS = 2.0
-"""What a free march leaves, of the least that one in step does, above which it is none that can be compared."""
 
 
-def loosened(bench: Bench, one: Tried) -> Tried | None:
-    """A law that was followed, `one`, fitted by simulation from ties that are loosened; None where a march fails.
+def in_step(bench: Bench, followed: Tried, steps: int) -> Tried | None:
+    """A law that was followed, fitted by simulation; in step with the measured motion where a free march is led astray.
 
-    Without ties at last, unless it strays then: in step as loosely as leaves least.
+    As loosely as leaves least: what a tie has to do is missing, and the noise of the motion is what it brings in.
     """
+    free = bench.simulate(followed, steps)
+    if not _astray(bench, followed, free):
+        return free
+    return min((t for t in (free, *loosened(bench, followed)) if t is not None), key=lambda t: t.cost, default=None)
+
+
+def _astray(bench: Bench, followed: Tried, free: Tried | None) -> bool:
+    """Whether a simulation in noise leaves more than the law does along the measured motion, which has that motion's
+    errors too, or bends the base where that does not: then it goes elsewhere than the structure did.
+    """
+    if followed.simulated or not all(r.open for r in bench.runs):
+        return False
+    if free is None or free.made.data_part > followed.made.data_part:
+        return True
+    most = max(STRAINED * free.made.n_base, followed.made.prior_part)
+    return free.made.prior_part > most
+
+
+def loosened(bench: Bench, one: Tried) -> list[Tried]:
+    """A law that was followed, `one`, fitted by simulation with ties that are loosened, up to where a march fails."""
     joint = bench.joint_of([replace(lead.acting(), last=True) for lead in of_fits(one)])
     x: NDArray = one.made.x
     orbits: list[Orbit | None] | None = None
@@ -46,22 +65,9 @@ def loosened(bench: Bench, one: Tried) -> Tried | None:
             break
         x, orbits = made.made.x, list(made.made.orbits)
         done.append(made)
-    if not done:
-        return None
-    least = min(done, key=lambda t: t.cost)
-    free = len(done) == len(TIES) and done[-1].made.data_part < STRAYS * least.made.data_part
-    return done[-1] if free else least
+    return done
 
 
 def _tied_as(orbit: Orbit | None, shown: Orbit | None) -> Orbit | None:
     """The orbit with the tie of another."""
     return orbit if orbit is None or shown is None else replace(orbit, tie=shown.tie)
-
-
-def led_astray(bench: Bench, followed: Tried, simulated: Tried | None) -> bool:
-    """Whether a simulation in noise leaves more than the law does along the measured motion, which has that motion's
-    errors too: then it goes elsewhere than the structure did.
-    """
-    if followed.simulated or not all(r.open for r in bench.runs):
-        return False
-    return simulated is None or simulated.made.data_part > followed.made.data_part

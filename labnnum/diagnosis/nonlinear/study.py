@@ -27,7 +27,7 @@ from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.laws import SHAPES, general_basis
 from labnnum.diagnosis.nonlinear.leads import UNNAMED, general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
-from labnnum.diagnosis.nonlinear.loosen import led_astray, loosened
+from labnnum.diagnosis.nonlinear.loosen import in_step
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import KINKED, Joint, reduced, steps_of
 from labnnum.diagnosis.nonlinear.run import Run
@@ -130,9 +130,7 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
         if alike >= most[0 if t.named else 1] or (enough and t.cost > level and t.cost > best):
             out.append(t)
             continue
-        one = t if t.simulated else bench.simulate(t, LONG)
-        if led_astray(bench, t, one):
-            one = min((m for m in (one, loosened(bench, t)) if m is not None), key=lambda m: m.cost, default=None)
+        one = t if t.simulated else in_step(bench, t, LONG)
         if one is None:
             continue
         if calm is not None and not t.simulated and _bent(bench, one):
@@ -280,7 +278,7 @@ def _general(bench: Bench, best: Tried, leads: Sequence[Lead]) -> Tried | None:
     some = leads[:2] if own is None or own in leads[:2] else [*leads[:2], own]
     made = [bench.follow(best.made.x[: best.made.n_base], g, LONG) for g in some]
     near = sorted((t for t in made if t is not None), key=lambda t: t.cost)
-    done = [bench.simulate(t, LONG) for t in near[:1]]
+    done = [in_step(bench, t, LONG) for t in near[:1]]
     return next((t for t in done if t is not None), None)
 
 
@@ -298,7 +296,7 @@ def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter
         lead = replace(of_fit(best), spot=s)
         one = bench.follow(x, lead, LONG)
         if one is not None and one.cost < CLOSE * best.cost:
-            one = bench.simulate(one, LONG)
+            one = in_step(bench, one, LONG)
         elif unsure:
             one = bench.direct((x[: best.made.bare],), lead, LONG, soften=False) or one
         out += [one] if one is not None else []
