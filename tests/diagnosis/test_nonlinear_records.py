@@ -21,8 +21,8 @@ FORCE = Channel("f", "force", "reference", "3", "x")
 CUBIC = (3e4,)
 
 
-def chain():
-    links = [Link("1", "ground", 1000.0, 4.0)] + [Link(str(i), str(i + 1), 1000.0, 4.0) for i in range(1, 4)]
+def chain(c=4.0):
+    links = [Link("1", "ground", 1000.0, c)] + [Link(str(i), str(i + 1), 1000.0, c) for i in range(1, 4)]
     return Chain({str(i): 1.0 for i in range(1, 5)}, tuple(links), ())
 
 
@@ -32,11 +32,12 @@ def joint_23():
     return column
 
 
-def recorded(force, elements):
+def recorded(force, elements, structure=None):
     """The recording of a force (n,) from rest, marched on `FINE` steps a sample."""
+    structure = structure or chain()
     n = force.size
     fine = np.fft.irfft(np.fft.rfft(force), n * FINE) * FINE
-    march = NonlinearSimulation(system(chain(), chain().nominal, OUTPUTS, [FORCE]), elements, 1 / (RATE * FINE))
+    march = NonlinearSimulation(system(structure, structure.nominal, OUTPUTS, [FORCE]), elements, 1 / (RATE * FINE))
     y = march.run(np.append(fine, np.zeros(march.delay))[None])
     spectrum = np.fft.rfft(y, axis=1)[:, : n // 2 + 1]
     return Recording((FORCE, *OUTPUTS), np.vstack([force, np.fft.irfft(spectrum, n, axis=1) / FINE]), RATE, label="run")
