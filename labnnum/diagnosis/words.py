@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labnnum.diagnosis.nonlinear.tie import tightness
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Diagnosis
 
@@ -63,7 +64,7 @@ def _found(d: Diagnosis) -> str:
         )
     return (
         f"{'; and '.join(parts)}.{told} The held-out error falls from {_percent(d.base_error[1])} to"
-        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)}).{_equal(d)}{_beside(d)}"
+        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)}).{_in_step(d)}{_equal(d)}{_beside(d)}"
     )
 
 
@@ -78,6 +79,17 @@ def _equal(d: Diagnosis) -> str:
     others = f"{', '.join(most)} and {last}" if most else last
     verb = "move" if most else "moves"
     return f" In the modes of the band {others} {verb} as {place} does: no measurement there tells which of them it is."
+
+
+def _in_step(d: Diagnosis) -> str:
+    """Whether a response in noise was compared in step with the measured motion, not freely simulated."""
+    found = d.detail.get("nonlinear")
+    if found is None or not found.named or not tightness(found.laws[-1].made.orbits):
+        return ""
+    return (
+        " Small errors grow in this response, so that no free simulation follows it for long: law and data were compared"
+        " in step with the motion measured at the place, on data held out too."
+    )
 
 
 MUCH = 3.0

@@ -8,7 +8,7 @@ from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.mechanisms.base import Place
 
 
-def _named(misfit):
+def _named(misfit, orbits=(None,)):
     """A diagnosis that names dry friction, which leaves this much a value."""
     mechanism = SimpleNamespace(id="coulomb-friction", domain="nonlinear", sense=lambda term, value: None)
     place = Place("ground", "3")
@@ -16,7 +16,8 @@ def _named(misfit):
         term=SimpleNamespace(mechanism=mechanism, parameters=(), place=place), place=place, value=(), std=(),
         confidence=1.0,
     )  # fmt: skip
-    law = SimpleNamespace(named=(one,), misfit=misfit, equal=())
+    laws = (SimpleNamespace(made=SimpleNamespace(orbits=orbits)),)
+    law = SimpleNamespace(named=(one,), misfit=misfit, equal=(), laws=laws)
     return SimpleNamespace(
         verdict="missing-physics", named=(one,), place=place, alternatives=(), base_error=(0.5, 0.5),
         extended_error=(0.02, 0.02), noise_floor=0.001, creep=None, detail={"nonlinear": law},
@@ -28,3 +29,10 @@ def test_a_law_that_leaves_much_says_so_and_asks_for_more(misfit, more):
     d = _named(misfit)
     assert ("40 times what noise" in summarise(d)) is more
     assert ("Repeat at lower levels" in next_experiment(d, ())) is more
+
+
+@pytest.mark.parametrize(("tight", "said"), [(None, False), (0.0, False), (0.3, True)])
+def test_a_law_that_was_compared_in_step_says_so(tight, said):
+    tie = None if tight is None else SimpleNamespace(tight=tight)
+    d = _named(0.8, (None, SimpleNamespace(tie=tie)))
+    assert ("in step with the motion" in summarise(d)) is said
