@@ -87,8 +87,8 @@ def _in_step(d: Diagnosis) -> str:
     if found is None or not found.named or not tightness(found.laws[-1].made.orbits):
         return ""
     return (
-        " Small errors grow in this response, so that no free simulation follows it for long: law and data were compared"
-        " in step with the motion measured at the place, on data held out too."
+        " Small errors grow in this response, so that no free simulation follows it for long: law and data were"
+        " compared in step with the motion measured at the place, on data held out too."
     )
 
 
