@@ -75,8 +75,13 @@ class Prospect:
 
     @property
     def nameless(self) -> bool:
-        """Whether a law without a name leaves so much less than every named one that no simulation can turn that."""
+        """Whether a law without a name leaves so much less than every named one that no simulation can turn that.
+
+        What leaves many times the noise itself was followed along a motion that is not the structure's.
+        """
         best = self.near[0]
+        if best.made.data_part > NOISY * best.made.count:
+            return False
         others = [self.base.objective * best.made.count / self.base.count, *(t.cost for t in self.near if t.named)]
         return not best.named and NEAR * best.cost < min(others)
 
