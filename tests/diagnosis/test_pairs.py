@@ -84,7 +84,7 @@ def test_sliders_that_let_go_one_after_the_other_are_stick_slip_with_a_spread():
 
 
 def test_one_slider_has_no_spread():
-    found = diagnose(chain(), runs([Element("jenkins", joint_23(), (400.0, 6.0))], chain(), LEVELS))
+    found = diagnose(chain(), runs([Element("jenkins", joint_23(), (400.0, 6.0))], chain(), LEVELS)[::2])
     assert list(found.as_dict()["mechanism"]["parameters"]) == ["k_t", "F_s"], found.summary
 
 

@@ -66,6 +66,7 @@ def test_a_law_for_which_the_base_bends_far_is_tried_elsewhere_from_the_unbent_b
             return tried(int(spot.place.id), 40.0 if spot is SPOTS[1] else 900.0, "unbent")
 
     monkeypatch.setattr(chain, "Bench", lambda *args: SimpleNamespace(on=lambda lines: OnLines()))
+    monkeypatch.setattr(chain, "in_step", lambda bench, spot, steps: bench.simulate(spot, steps))
     monkeypatch.setattr(chain, "of_fit", lambda one: one.lead)
     monkeypatch.setattr(chain, "twins", lambda found, spot, every: [])
     monkeypatch.setattr(chain, "at_places", lambda found, best, spots, scatter: [])
