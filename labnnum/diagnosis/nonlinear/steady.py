@@ -24,7 +24,7 @@ from labnnum.diagnosis.nonlinear.march import N_P, march, remembered
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Marched, Orbit, Slopes, closed, parts_of, relative, state_of
 from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.run import Run, precise
-from labnnum.diagnosis.nonlinear.tie import Stepping, resampled, tied_march
+from labnnum.diagnosis.nonlinear.tie import resampled, tied_march
 from labnnum.errors import EstimationError
 
 PASSES = (4, 2)
@@ -321,10 +321,7 @@ class Steady:
     ) -> Marched:  # fmt: skip
         m, k = made.w.shape[1], self.k
         if orbit.tie is not None and self.run.open:
-            on = Stepping(
-                made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, made.seated, self.codes, self.step
-            )
-            return tied_march(on, source, p, orbit, ds, vary)
+            return tied_march(made, self.codes, self.step, source, p, orbit, ds, vary)
         n_s = 0 if ds is None else ds.shape[3]
         n_v = 0 if vary is None else vary.shape[0]
         n_h = 2 * m + (1 + self.room) * k if homogeneous else 0

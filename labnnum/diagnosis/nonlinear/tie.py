@@ -9,12 +9,13 @@ back where they do not (a chaotic response that is driven into step: Abarbanel e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from labnnum.diagnosis.nonlinear.discrete import Discrete
 from labnnum.diagnosis.nonlinear.march import CODES, N_P, march
 from labnnum.diagnosis.nonlinear.orbit import Marched, Orbit, Tie
 
@@ -24,24 +25,9 @@ brings the march into step. What is compared of the response weighs 3 % up to th
 DASHPOT = CODES["dashpot"]
 
 
-@dataclass(frozen=True, eq=False)
-class Stepping:
-    """What a march takes of its base: see `discrete.Discrete`, and of its laws."""
-
-    T: NDArray
-    W0: NDArray
-    W1: NDArray
-    w: NDArray
-    inner: NDArray
-    rate: NDArray
-    back: NDArray
-    seated: NDArray
-    codes: NDArray
-    step: float
-
-
 def tied_march(
-    on: Stepping, source: NDArray, p: NDArray, orbit: Orbit, ds: NDArray | None, vary: NDArray | None
+    on: Discrete, codes: NDArray, step: float, source: NDArray, p: NDArray, orbit: Orbit, ds: NDArray | None,
+    vary: NDArray | None,
 ) -> Marched:  # fmt: skip
     """The march over an open run from `orbit`, whose motions are tied as its `tie` says.
 
@@ -63,7 +49,7 @@ def tied_march(
     memory = np.concatenate([orbit.memory, np.zeros((k, room))])
     w = np.ascontiguousarray(np.tile(on.w, (2, 1)))
     inner, rate, back = (np.ascontiguousarray(np.tile(a, (2, 2))) for a in (on.inner, on.rate, on.back))
-    seated, codes = np.tile(on.seated, 2), np.concatenate([on.codes, np.full(k, DASHPOT)])
+    seated, laws_of = np.tile(on.seated, 2), np.concatenate([codes, np.full(k, DASHPOT)])
     both = np.concatenate([source, source - bond.motion], axis=1)
     a, b, c = int(HIDDEN * n), int(IN_STEP * n), int((1 - HIDDEN) * n)
     bad = 0
@@ -74,7 +60,7 @@ def tied_march(
         one, moved, along = np.empty((size, 2 * k)), np.empty((size, 2 * k, 2)), np.empty((size, 2 * k, nt), np.float32)
         pushed = np.ascontiguousarray(np.tile(ds[low:high], (1, 2, 1, 1)))
         bad += march(
-            on.T, on.W0, on.W1, w, inner, rate, back, seated, on.step, np.ascontiguousarray(both[low:high]), codes,
+            on.T, on.W0, on.W1, w, inner, rate, back, seated, step, np.ascontiguousarray(both[low:high]), laws_of,
             laws, x, f, memory, one, moved, X, df, dmem, dp, pushed, along,
         )  # fmt: skip
         forces[low:high], motion[low:high] = one[:, :k], moved[:, :k]
