@@ -25,7 +25,7 @@ from labnnum.recording import Recording
 
 LINES = 400
 """Lines of a run that tell the ordinary errors of its sensors beside a law."""
-IN_STEP = 0.1
+LED = 0.1
 """How tightly a march that would leave the structure's own way is tied to the measured motion over a whole record."""
 
 
@@ -107,7 +107,7 @@ def linearised_records(
         begun: list[Orbit | None] = [None] * len(runs)
         tight = tightness(last.orbits)
         if tight is not None:
-            begun = marched_from(joint, last.x, along(joint, last.x), max(tight, IN_STEP))
+            begun = marched_from(joint, last.x, along(joint, last.x), max(tight, LED))
         orbits = joint.settle(last.x, begun, 12)
         errors = errors_of_sensors(joint, last.x, orbits, range(len(runs)))
         shares = []

@@ -49,7 +49,7 @@ def tied_march(
     memory = np.concatenate([orbit.memory, np.zeros((k, room))])
     w = np.ascontiguousarray(np.tile(on.w, (2, 1)))
     inner, rate, back = (np.ascontiguousarray(np.tile(a, (2, 2))) for a in (on.inner, on.rate, on.back))
-    seated, laws_of = np.tile(on.seated, 2), np.concatenate([codes, np.full(k, DASHPOT)])
+    seated, kinds = np.tile(on.seated, 2), np.concatenate([codes, np.full(k, DASHPOT)])
     both = np.concatenate([source, source - bond.motion], axis=1)
     a, b, c = int(HIDDEN * n), int(IN_STEP * n), int((1 - HIDDEN) * n)
     bad = 0
@@ -60,7 +60,7 @@ def tied_march(
         one, moved, along = np.empty((size, 2 * k)), np.empty((size, 2 * k, 2)), np.empty((size, 2 * k, nt), np.float32)
         pushed = np.ascontiguousarray(np.tile(ds[low:high], (1, 2, 1, 1)))
         bad += march(
-            on.T, on.W0, on.W1, w, inner, rate, back, seated, step, np.ascontiguousarray(both[low:high]), laws_of,
+            on.T, on.W0, on.W1, w, inner, rate, back, seated, step, np.ascontiguousarray(both[low:high]), kinds,
             laws, x, f, memory, one, moved, X, df, dmem, dp, pushed, along,
         )  # fmt: skip
         forces[low:high], motion[low:high] = one[:, :k], moved[:, :k]
