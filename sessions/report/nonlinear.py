@@ -161,6 +161,7 @@ def restoring_figure(d: Diagnosis) -> str:
                 style = {"lw": 1.2} if line else {"ls": "", "marker": ".", "rasterized": True}
                 ax.plot(x[order], c.law[order], color=AFTER, markersize=0.8, **style)
                 ax.set_xlabel(name)
+                ax.ticklabel_format(axis="x", scilimits=(-2, 4))
             row[0].set_ylabel(force)
             row[0].set_title(f"input {c.level:.3g} RMS", fontsize=8)
         fig.tight_layout()
