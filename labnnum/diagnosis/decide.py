@@ -22,6 +22,9 @@ from labnnum.diagnosis.worth import Judge, alarmed, improves, missing, one_law, 
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
 
+SURE = 2.0
+"""Gain of what is named, of the gain that an alarm needs: one sound structure in twenty gains that, and one in a
+hundred a name."""
 TOLD = 2.0
 """Deviations below which the strength of a law is not told from nothing."""
 HELD = "several laws hold the place alike, and of none the strength is told: there it may be any other"
@@ -152,6 +155,12 @@ def _verdict(
         return "consistent", (), "no term gains more than a sound structure's scatter"
     stage, best = selection.stages[0], selection.chain[1]
     excess = dispersion(best.fit, data)
+    if (base.cost - min(final.cost, best.cost)) / max(excess, 1.0) < SURE * limits.alarm:
+        return (
+            "unexplained",
+            (),
+            "the best name gains little more than scatter alone gives one sound structure in twenty",
+        )
     total = (base.fit.objective - min(final.fit.objective, best.fit.objective)) / max(excess, 1.0)
     lead = _lead(engine, data, selection.scatter, stage, best, limits.name * excess) / excess
     law = selection.general
@@ -196,7 +205,7 @@ def _any_strength(named: Named, stage: Sequence[Candidate], best: Candidate, eno
     """Whether nothing of a law is told from nothing, and another law at its place explains as much: whatever holds a
     place far tighter than the structure does leaves the same response.
     """
-    if np.any(np.abs(named.value) >= TOLD * named.std):
+    if told_at_all(named):
         return False
     return any(
         c.last.place == best.last.place
@@ -204,6 +213,11 @@ def _any_strength(named: Named, stage: Sequence[Candidate], best: Candidate, eno
         and c.cost - best.cost < enough
         for c in stage
     )
+
+
+def told_at_all(named: Named) -> bool:
+    """Whether some parameter of a mechanism is told from nothing; one that has none is."""
+    return not named.value.size or bool(np.any(np.abs(named.value) >= TOLD * named.std))
 
 
 def _lead(

@@ -5,10 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from labnnum.diagnosis.decide import told_at_all
 from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NonlinearAnswer
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Diagnosis, Named
 from labnnum.diagnosis.words import next_experiment, summarise
+from labnnum.structures.modal import ModalStructure
+
+PART, NOISY = 1 / 3, 3.0
+"""Part of the base's held-out error, and times the noise of these data, above both of which what is named leaves too
+much to be what acts there, or all of it."""
+HALFWAY = "the best nonlinear law leaves too much of what is missing on data held out"
+"""The reason then, where nothing else was found that may be what is left."""
 
 
 def merged(
@@ -18,6 +26,9 @@ def merged(
     """One diagnosis: what the gates found, the nonlinear law, what was named `before` it, then what the linear search
     names beside it.
     """
+    if _halfway(found) and not (gated or before or any(told_at_all(n) for n in rest.named)):
+        place = found.located[0][0] if found.located else found.place
+        found = replace(found, named=(), reason=HALFWAY, place=place, extended_error=found.base_error)
     beside = rest.named if found.named and rest.verdict in ("missing-physics", "measurement-fault") else ()
     if found.misfit > MISFIT:  # what a law leaves at its own place is its own
         own = {(n.place.id, n.place.to) for n in found.named}
@@ -41,3 +52,12 @@ def merged(
         extended_error=source.extended_error, nonlinear=nonlinear, detail=detail,
     )  # fmt: skip
     return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
+
+
+def _halfway(found: NonlinearAnswer) -> bool:
+    """Whether named laws leave far more than noise of data held out and a good part of what the base leaves; one that
+    was identified misses data by itself.
+    """
+    left = found.extended_error[1]
+    far = left > max(PART * found.base_error[1], NOISY * found.noise)
+    return bool(found.named) and far and not isinstance(found.study.engine.structure, ModalStructure)
