@@ -19,6 +19,7 @@ from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.orbit import Orbit, Tie
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
 from labnnum.diagnosis.nonlinear.receptance import per_place
+from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError
 
@@ -57,7 +58,8 @@ def further(
     here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
     found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])
     leads: list[Lead] = []
-    for q in found[:3] if general else [*found[:3], *(q for q in found[3:] if q.spot in here)]:
+    most = 3 if general else asked(runs)
+    for q in found[:most] if general else [*found[:most], *(q for q in found[most:] if q.spot in here)]:
         wanted = general_lead(background, q) if general else None
         if own and wanted is not None:
             leads += law_leads(background, q, [name for i, name in OWN.items() if wanted.p[i]])
@@ -69,7 +71,7 @@ def further(
         (lead for lead in leads if lead.gain > least and not _again(lead, held)), key=lambda lead: -lead.gain
     )
     best: Tried | None = None
-    for lead in leads[: 1 if general else 2]:
+    for lead in leads[:1] if general else _distinct(leads)[:TRIED]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
         x = with_one_more(made, lead, engine)
         start = [_with_one_more(o) for o in made.orbits]
@@ -88,6 +90,28 @@ def further(
     return best if gain > max(alarm, worth * left) else None
 
 
+def _distinct(leads: Sequence[Lead]) -> list[Lead]:
+    """The leads without those of the kind of an earlier one at its place."""
+    out: list[Lead] = []
+    for lead in leads:
+        if not any(o.spot.place == lead.spot.place and alike(o.mechanism, lead.mechanism) for o in out):
+            out.append(lead)
+    return out
+
+
+def asked(runs: Sequence[Run]) -> int:
+    """Places at which a second law is asked for, in the order of what a force there explains."""
+    return min(max(SAMPLES // sum(r.period for r in runs), ASKED[0]), ASKED[1])
+
+
+ASKED, SAMPLES = (3, 16), 1_000_000
+"""Places at which a second law is asked for, least and most; and samples of all runs together that so many may have.
+
+How much a force explains tells little of where the second law acts, while the first has bent the base; and with two
+sensors any two forces explain all. Laws tell, and those take a moment to ask where runs are short.
+"""
+TRIED = 3
+"""Second laws that are fitted beside the first."""
 YIELDING = ("stick-slip", "sliders", "hysteresis")
 """Laws of which one contains another: a slider with a spring, many of them, its corners rounded. Dry friction beside
 one of them is a second slider, that has no spring."""

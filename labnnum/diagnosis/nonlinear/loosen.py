@@ -15,6 +15,7 @@ from dataclasses import replace
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fits, tried_fit
+from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import STRAINED
 from labnnum.diagnosis.nonlinear.follow import along, marched_from
 from labnnum.diagnosis.nonlinear.orbit import Orbit
@@ -30,10 +31,11 @@ STEPS = 8
 def in_step(bench: Bench, followed: Tried, steps: int) -> Tried | None:
     """A law that was followed, fitted by simulation; in step with the measured motion where a free march is led astray.
 
-    As loosely as leaves least: what a tie has to do is missing, and the noise of the motion is what it brings in.
+    As loosely as leaves least: what a tie has to do is missing, and the noise of the motion is what it brings in. After
+    a long search, as over sweeps, nothing is tied any more.
     """
     free = bench.simulate(followed, steps)
-    if not _astray(bench, followed, free):
+    if tired() or not _astray(bench, followed, free):
         return free
     return min((t for t in (free, *loosened(bench, followed)) if t is not None), key=lambda t: t.cost, default=None)
 
@@ -51,12 +53,16 @@ def _astray(bench: Bench, followed: Tried, free: Tried | None) -> bool:
 
 
 def loosened(bench: Bench, one: Tried) -> list[Tried]:
-    """A law that was followed, `one`, fitted by simulation with ties that are loosened, up to where a march fails."""
+    """A law that was followed, `one`, fitted by simulation with ties that are loosened, up to where a march fails, or
+    the search has taken long.
+    """
     joint = bench.joint_of([replace(lead.acting(), last=True) for lead in of_fits(one)])
     x: NDArray = one.made.x
     orbits: list[Orbit | None] | None = None
     done: list[Tried] = []
     for tight in TIES:
+        if done and tired():
+            break
         shown = marched_from(joint, x, along(joint, x), tight)
         orbits = shown if orbits is None else [_tied_as(o, s) for o, s in zip(orbits, shown, strict=True)]
         joint.hold_places(x if tight >= HOLDS else None)

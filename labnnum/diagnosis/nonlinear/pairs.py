@@ -17,7 +17,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fits
 from labnnum.diagnosis.nonlinear.effort import TWO, spent, tired
 from labnnum.diagnosis.nonlinear.explore import LAWS, LONG, Prospect, engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
-from labnnum.diagnosis.nonlinear.further import alike, needed
+from labnnum.diagnosis.nonlinear.further import alike, asked, needed
 from labnnum.diagnosis.nonlinear.laws import SHAPES, candidates
 from labnnum.diagnosis.nonlinear.leads import companion_columns, law_column
 from labnnum.diagnosis.nonlinear.locate import (
@@ -42,8 +42,6 @@ SPARE = 1
 """Sensors beyond two forces from which on the forces alone tell the places."""
 WIDE = 4
 """Pairs of places, by the part of the distortion that two forces there explain, at which laws are asked for."""
-BESIDE = 3
-"""Places, beside those of the nearest single laws, at which a second one is asked for."""
 FIRST = 2
 """Those nearest single laws."""
 EACH = 3
@@ -234,6 +232,7 @@ def _places(
     if plain.runs[0].y.shape[0] >= 2 + SPARE:
         order = sorted(combinations(range(n), 2), key=lambda ij: -shares[ij])
         out += [(spots[i], spots[j]) for i, j in order[:WIDE]]
+    most = asked(plain.runs)
     first = list(dict.fromkeys(s.place for s in firsts))[:FIRST]
     some = [next(s for s in firsts if s.place == place) for place in first]
     if len(some) == FIRST:
@@ -242,7 +241,7 @@ def _places(
         out.append((one, one))
         i = _number(spots, one)
         beside = sorted((j for j in range(n) if j != i), key=lambda j: -max(shares[i, j], shares[j, i]))
-        out += [(one, spots[j]) for j in beside[:BESIDE]]
+        out += [(one, spots[j]) for j in beside[:most]]
     distinct: list[tuple[Spot, Spot]] = []
     for a, b in out:
         key = {a.place, b.place}

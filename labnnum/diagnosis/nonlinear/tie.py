@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from labnnum.diagnosis.nonlinear.discrete import Discrete
+from labnnum.diagnosis.nonlinear.effort import marched
 from labnnum.diagnosis.nonlinear.march import CODES, N_P, march
 from labnnum.diagnosis.nonlinear.orbit import Marched, Orbit, Tie
 
@@ -38,6 +39,7 @@ def tied_march(
     n, k, m, room = source.shape[0], source.shape[1], on.w.shape[1], orbit.memory.shape[1]
     n_s, n_v = 0 if ds is None else ds.shape[3], 0 if vary is None else vary.shape[0]
     nt = n_s + n_v
+    marched(n, m, 2 * k, nt)
     X = np.zeros((2, m, nt))
     df, dmem, dp = np.zeros((2 * k, nt)), np.zeros((2 * k, room, nt)), np.zeros((2 * k, N_P, nt))
     if vary is not None:
