@@ -8,9 +8,10 @@ import pytest
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Bench
+from labnnum.diagnosis.nonlinear.effort import LONG, STEP, counted, marched, spent
 from labnnum.diagnosis.nonlinear.follow import along, marched_from
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
-from labnnum.diagnosis.nonlinear.loosen import _astray
+from labnnum.diagnosis.nonlinear.loosen import _astray, in_step
 from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.orbit import Tie, scaled
 from labnnum.diagnosis.nonlinear.problem import reduced
@@ -47,6 +48,19 @@ def test_a_tie_does_nothing_where_the_march_goes_as_it_is_tied(rattling):
     assert np.linalg.norm(again.time[known] - free.time[known]) < 1e-3 * np.linalg.norm(free.time)
     assert tightness([None, again]) == 1.0
     assert tightness([None, free]) is None
+
+
+def test_a_tie_counts_as_a_law_that_is_marched(rattling):
+    """It is one: what a search over long records leaves out once it has taken long must see it."""
+    joint, x, free = rattling
+
+    def spent_on(orbit):
+        with counted():
+            joint.settle(x, [orbit], 4)
+            return spent()
+
+    tied = spent_on(replace(free, tie=Tie(free.motion, np.array([200.0]), 1.0), closing=np.inf))
+    assert tied >= 2 * spent_on(replace(free, tie=None))
 
 
 def test_a_tie_brings_a_march_into_step_that_began_elsewhere(rattling):
@@ -88,6 +102,20 @@ def test_ties_go_with_the_steps_and_the_scale_of_a_place(rattling):
     assert moved is not None
     np.testing.assert_allclose(moved.motion, 2 * free.motion)
     assert (moved.dashpot[0], moved.tight) == (10.0, 0.3)  # half the force at twice the speed
+
+
+@pytest.mark.parametrize(("long", "tied"), [(False, True), (True, False)])
+def test_nothing_is_tied_after_a_long_search(monkeypatch, long, tied):
+    def tried(cost, simulated):
+        made = SimpleNamespace(data_part=cost, prior_part=0.0, n_base=20, count=100)
+        return SimpleNamespace(made=made, simulated=simulated, cost=cost)
+
+    free, fitted = tried(1e5, True), tried(100.0, True)
+    monkeypatch.setattr("labnnum.diagnosis.nonlinear.loosen.loosened", lambda bench, one: [fitted])
+    bench = SimpleNamespace(runs=[SimpleNamespace(open=True)], simulate=lambda one, steps: free)
+    with counted():
+        marched(int(1.1 * LONG / STEP) if long else 1, 5, 1, 0)
+        assert in_step(bench, tried(200.0, False), 4) is (fitted if tied else free)
 
 
 @pytest.mark.parametrize(

@@ -208,7 +208,7 @@ def test_the_part_of_dry_friction_solves_its_equation(before, free):
     assert part_of_limit(-free, take, -before) == pytest.approx(-part)
 
 
-def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3):
+def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3, sensors=(0, 1, 2)):
     """Recordings of four periods at each level, two realisations, with noise relative to the lowest level's."""
     out = []
     floor = None
@@ -223,7 +223,8 @@ def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3):
             data[1:] += floor * rng.standard_normal((3, data.shape[1]))
             data[0] += 1e-4 * level * rng.standard_normal(data.shape[1])
             label = f"level {level:g} run {realisation}"
-            out.append(Recording((FORCE, *OUTPUTS), data, RATE, period=PERIOD, label=label))
+            heard, rows = [OUTPUTS[i] for i in sensors], [0, *(1 + i for i in sensors)]
+            out.append(Recording((FORCE, *heard), data[rows], RATE, period=PERIOD, label=label))
     return observe_all(out)
 
 

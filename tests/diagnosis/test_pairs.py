@@ -11,6 +11,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
 from labnnum.diagnosis.nonlinear.company import beside_others
 from labnnum.diagnosis.nonlinear.decision import _stands_out
+from labnnum.diagnosis.nonlinear.further import _distinct, asked
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, motion_of, motions_of, spots
 from labnnum.diagnosis.nonlinear.pairs import pair_shares
@@ -72,6 +73,28 @@ def test_two_laws_of_which_either_alone_explains_little_are_named_together():
     assert set(named) == {("cubic-stiffness", "joint 2-3"), ("quadratic-damping", "ground 1")}, found.summary
     assert named["cubic-stiffness", "joint 2-3"] == pytest.approx([2e4], rel=0.1)
     assert named["quadratic-damping", "ground 1"] == pytest.approx([10.0], rel=0.1)
+
+
+def test_a_second_law_is_found_with_two_sensors_of_which_any_two_forces_explain_all():
+    """What two forces explain tells nothing there; what laws explain does."""
+    two = [Element("cubic", ground(2), (2e4,)), Element("quadratic-damping", joint_23(), (40.0,))]
+    found = diagnose(chain(), runs(two, chain(), sensors=(0, 2)))
+    named = {(n.term.mechanism.id, str(n.place)): n.value for n in found.named}
+    assert set(named) == {("cubic-stiffness", "ground 2"), ("quadratic-damping", "joint 2-3")}, found.summary
+    assert named["cubic-stiffness", "ground 2"] == pytest.approx([2e4], rel=0.1)
+
+
+@pytest.mark.parametrize(("samples", "places"), [(10_000, 16), (200_000, 5), (5_000_000, 3)])
+def test_places_are_asked_as_far_as_runs_are_short(samples, places):
+    assert asked([SimpleNamespace(period=samples // 2), SimpleNamespace(period=samples // 2)]) == places
+
+
+def test_laws_of_one_kind_at_one_place_are_one_lead():
+    def lead(mechanism, place):
+        return Lead(Spot(Place("ground", place), "x", np.zeros(4)), mechanism, np.zeros(10), 0.0)
+
+    some = [lead("stick-slip", "1"), lead("hysteresis", "1"), lead("cubic-stiffness", "1"), lead("hysteresis", "2")]
+    assert _distinct(some) == [some[0], some[2], some[3]]
 
 
 def test_sliders_that_let_go_one_after_the_other_are_stick_slip_with_a_spread():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis import linear
-from labnnum.diagnosis.decide import _any_strength
+from labnnum.diagnosis.decide import _any_strength, _verdict
 from labnnum.diagnosis.scatter import Data
 from labnnum.diagnosis.unnamed import told_all
 from labnnum.diagnosis.verdict import Limits
@@ -36,6 +36,16 @@ def test_a_law_without_a_name_tells_all_where_it_leaves_noise_and_the_name_does_
     base, best = candidate(50 * NOISE, 10), candidate(*name)
     assert told_all(candidate(*law), [base, best], DATA, Limits()) == told
     assert not told_all(candidate(*law), [base, best, best], DATA, Limits())
+
+
+@pytest.mark.parametrize("limits", [Limits(), Limits(alarm=50.0)])
+def test_a_name_gains_twice_what_an_alarm_needs(limits):
+    """Scatter gives a sound structure in twenty the gain of an alarm: of that nothing is named."""
+    base, best = candidate(NOISE, 5, 1000.0), candidate(NOISE, 5, 1000.0 - 1.9 * limits.alarm)
+    selection = SimpleNamespace(chain=[base, best], stages=[[best]], general=None)
+    verdict, named, reason = _verdict(None, selection, limits, DATA, True, None)
+    assert (verdict, named) == ("unexplained", ())
+    assert "one sound structure in twenty" in reason
 
 
 def test_a_second_mechanism_without_which_there_is_no_structure_takes_no_place(monkeypatch):
