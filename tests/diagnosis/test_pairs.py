@@ -78,7 +78,7 @@ def test_two_laws_of_which_either_alone_explains_little_are_named_together():
 def test_a_second_law_is_found_with_two_sensors_of_which_any_two_forces_explain_all():
     """What two forces explain tells nothing there; what laws explain does."""
     two = [Element("cubic", ground(2), (2e4,)), Element("quadratic-damping", joint_23(), (40.0,))]
-    found = diagnose(chain(), runs(two, chain(), sensors=(0, 2)))
+    found = diagnose(chain(), runs(two, chain(), levels=(2.0, 9.0), sensors=(0, 2)))
     named = {(n.term.mechanism.id, str(n.place)): n.value for n in found.named}
     assert set(named) == {("cubic-stiffness", "ground 2"), ("quadratic-damping", "joint 2-3")}, found.summary
     assert named["cubic-stiffness", "ground 2"] == pytest.approx([2e4], rel=0.1)
