@@ -540,10 +540,10 @@ def test_an_interrupted_call_leaves_nothing_behind(session, monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_twelve_kills_lose_nothing(request):
+def test_twenty_kills_lose_nothing(request):
     script = request.config.rootpath / "benchmarks" / "kill.py"
     done = subprocess.run(
-        [sys.executable, str(script), "--kills", "12", "--seed", "3", "--json"],
+        [sys.executable, str(script), "--kills", "20", "--seed", "3", "--json"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     figures = json.loads(done.stdout)

@@ -1,14 +1,12 @@
 """Linear physics under a nonlinear law: what the quietest level shows is put right before the law is sought."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from labnnum.diagnosis import diagnose, observe_all
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear import beside
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.explore import calmed
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
@@ -153,17 +151,10 @@ def test_a_gain_that_the_errors_of_a_sound_model_excuse_is_named_beside_the_law(
     assert found.named[1].value[0] == pytest.approx(-0.16, abs=0.03)
 
 
-def test_a_dead_channel_stays_as_it_was_recorded(monkeypatch):
-    """Taking its fault off would leave no channel; one that reads too little is taken off."""
-    point = SimpleNamespace(terms=np.zeros(1))
-    monkeypatch.setattr(beside, "far", lambda candidate, data: True)
-    monkeypatch.setattr(beside, "named_of", lambda made, i, confidence, scatter: SimpleNamespace(term=None))
-    monkeypatch.setattr(beside, "_with", lambda engine, candidate, which: engine)
-    quiet = SimpleNamespace(detail={"selection": SimpleNamespace(data=None, scatter=None)}, named=())
-    for gain, taken in ((-0.9999, False), (-0.5, True)):
-        one = fault(ChannelGain(), (gain,), channel=1)
-        found = SimpleNamespace(terms=(one.term,), fit=SimpleNamespace(point=point))
-        monkeypatch.setattr(beside, "_found", lambda rest, confidence, found=found: found)
-        monkeypatch.setattr(beside, "faults_of", lambda terms, values, one=one: [one])
-        made = beside.beneath(None, quiet, None, {})
-        assert (made is not None) is taken
+def test_a_dead_channel_does_not_hide_a_law():
+    """Taking its fault off would leave no channel: it stays as it was recorded."""
+    dead = fault(ChannelGain(), (-0.9999,), channel=1)
+    found = diagnose(chain(), [mended(o, [dead], back=True) for o in runs([CUBIC], chain())])
+    assert found.named, found.summary
+    assert found.named[0].term.mechanism.id == "cubic-stiffness", found.summary
+    assert found.named[0].value == pytest.approx([2e4], rel=0.1)

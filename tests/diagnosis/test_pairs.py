@@ -13,8 +13,8 @@ from labnnum.diagnosis.nonlinear.company import beside_others
 from labnnum.diagnosis.nonlinear.decision import _stands_out
 from labnnum.diagnosis.nonlinear.further import _distinct, asked
 from labnnum.diagnosis.nonlinear.lines import choose_lines
-from labnnum.diagnosis.nonlinear.locate import Lead, Spot, motion_of, motions_of, spots
-from labnnum.diagnosis.nonlinear.pairs import pair_shares
+from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, motion_of, motions_of, spots
+from labnnum.diagnosis.nonlinear.pairs import _places, combined, pair_shares
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.scatter import Scatter
@@ -75,13 +75,23 @@ def test_two_laws_of_which_either_alone_explains_little_are_named_together():
     assert named["quadratic-damping", "ground 1"] == pytest.approx([10.0], rel=0.1)
 
 
-def test_a_second_law_is_found_with_two_sensors_of_which_any_two_forces_explain_all():
-    """What two forces explain tells nothing there; what laws explain does."""
+def test_with_two_sensors_laws_tell_where_the_second_acts():
+    """Any two forces explain all there, so that every place is asked, and the laws come nearest at the right one."""
     two = [Element("cubic", ground(2), (2e4,)), Element("quadratic-damping", joint_23(), (40.0,))]
-    found = diagnose(chain(), runs(two, chain(), levels=(2.0, 9.0), sensors=(0, 2)))
-    named = {(n.term.mechanism.id, str(n.place)): n.value for n in found.named}
-    assert set(named) == {("cubic-stiffness", "ground 2"), ("quadratic-damping", "joint 2-3")}, found.summary
-    assert named["cubic-stiffness", "ground 2"] == pytest.approx([2e4], rel=0.1)
+    structure = chain()
+    made = [o.run for o in runs(two, structure, levels=(2.0, 9.0), sensors=(0, 2))]
+    engine = Engine(structure, (OUTPUTS[0], OUTPUTS[2]), (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
+    every = spots(engine, engine.site(("1", "2", "3", "4"), (("1", "2"), ("2", "3"), ("3", "4")), ()))
+    plain = Joint(engine, engine.start(), made, (), Scatter(), [choose_lines(r, 100) for r in made])
+    first = next(s for s in every if str(s.place) == "ground 2")
+    asked_at = _places(plain, plain.start(), every, [first])
+    beside = {str(p.place) for pair in asked_at for p in pair}
+    assert beside == {str(s.place) for s in every}
+    background = Background(plain, plain.start())
+    best = min((row for pair in asked_at for row in combined(background, plain.start(), *pair)), key=lambda row: row[0])
+    assert {(lead.mechanism, str(lead.spot.place)) for lead in best[2]} == {
+        ("cubic-stiffness", "ground 2"), ("quadratic-damping", "joint 2-3"),
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(("samples", "places"), [(10_000, 16), (200_000, 5), (5_000_000, 3)])

@@ -98,7 +98,7 @@ def paired(
         promised: list[Combined] = []
         for x in starts:
             background = Background(plain, x)
-            for a, b in _places(seen, plain, x, spots, firsts):
+            for a, b in _places(plain, x, spots, firsts):
                 promised += combined(background, x, a, b)
         promised.sort(key=lambda row: row[0])
         fresh = _distinct(promised, [t.all_of_it for t in done])
@@ -223,7 +223,7 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
 
 
 def _places(
-    seen: Prospect, plain: Joint, x: NDArray, spots: Sequence[Spot], firsts: Sequence[Spot]
+    plain: Joint, x: NDArray, spots: Sequence[Spot], firsts: Sequence[Spot]
 ) -> list[tuple[Spot, Spot]]:  # fmt: skip
     """Pairs of places at which laws are asked for, a place beside itself among them."""
     out: list[tuple[Spot, Spot]] = []
