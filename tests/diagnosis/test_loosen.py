@@ -50,8 +50,8 @@ def test_a_tie_does_nothing_where_the_march_goes_as_it_is_tied(rattling):
     assert tightness([None, free]) is None
 
 
-def test_a_tie_counts_as_a_law_that_is_marched(rattling):
-    """It is one: what a search over long records leaves out once it has taken long must see it."""
+def test_a_tied_march_counts_like_any_other(rattling):
+    """What a search over long records leaves out once it has taken long must see it."""
     joint, x, free = rattling
 
     def spent_on(orbit):
@@ -60,7 +60,7 @@ def test_a_tie_counts_as_a_law_that_is_marched(rattling):
             return spent()
 
     tied = spent_on(replace(free, tie=Tie(free.motion, np.array([200.0]), 1.0), closing=np.inf))
-    assert tied >= 2 * spent_on(replace(free, tie=None))
+    assert tied >= spent_on(replace(free, tie=None)) > 0
 
 
 def test_a_tie_brings_a_march_into_step_that_began_elsewhere(rattling):
@@ -126,6 +126,8 @@ def test_nothing_is_tied_after_a_long_search(monkeypatch, long, tied):
         ("open", 2.0, 300.0, (5.0, 1.0), True),  # and took the base along
         ("open", 2.0, 300.0, (5.0, 400.0), False),  # which bends along the motion too
         ("open", None, 0.0, (5.0, 1.0), True),  # no march at all
+        ("open", 1.4, 1.0, (1.2, 1.0), False),  # too little to go after
+        ("open", 1.6, 1.0, (1.2, 1.0), True),
         ("periodic", 50.0, 1.0, (5.0, 1.0), False),
     ],
 )

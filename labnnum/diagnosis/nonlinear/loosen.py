@@ -26,6 +26,8 @@ HOLDS = 1.0
 """Ties from which on the motion at the place is what it is tied to: how far it moves in a mode is then not fitted."""
 STEPS = 8
 """Steps of each of these fits."""
+LITTLE = 1.5
+"""Chi-square per value up to which a free march is not led astray, whatever the law leaves along the motion."""
 
 
 def in_step(bench: Bench, followed: Tried, steps: int) -> Tried | None:
@@ -41,12 +43,12 @@ def in_step(bench: Bench, followed: Tried, steps: int) -> Tried | None:
 
 
 def _astray(bench: Bench, followed: Tried, free: Tried | None) -> bool:
-    """Whether a simulation in noise leaves more than the law does along the measured motion, which has that motion's
-    errors too, or bends the base where that does not: then it goes elsewhere than the structure did.
+    """Whether a simulation in noise leaves more than little, and than the law does along the measured motion, which has
+    that motion's errors too, or bends the base where that does not: then it goes elsewhere than the structure did.
     """
     if followed.simulated or not all(r.open for r in bench.runs):
         return False
-    if free is None or free.made.data_part > followed.made.data_part:
+    if free is None or free.made.data_part > max(followed.made.data_part, LITTLE * free.made.count):
         return True
     most = max(STRAINED * free.made.n_base, followed.made.prior_part)
     return free.made.prior_part > most

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 from numba import njit
 
+from labnnum.diagnosis.nonlinear.yielding import yielded, yields
 from labnnum.diagnosis.sums import eliminate
 from labnnum.mechanisms.stick_slip import SLIDERS
 from labnnum.nonlinear import part_of_limit
@@ -28,7 +29,6 @@ LAWS: dict[str, tuple[str, ...]] = {
     "hysteresis": ("k", "limit", "n", "beta_share"),
     "general": tuple(f"c{i}" for i in range(10)),
     "sliders": ("k_t", "F_s", "spread"),
-    "dashpot": ("c",),
 }
 """Laws and their parameters; z is the motion, v its rate, the force opposes:
 
@@ -38,7 +38,6 @@ LAWS: dict[str, tuple[str, ...]] = {
 - general: a smooth law without memory; see `labnnum.diagnosis.nonlinear.laws.general_basis`
 - sliders: `SLIDERS` sliders on equal springs side by side, k_t and F_s of all together, whose limits are spread evenly
   over the mean one times 1 - spread to 1 + spread (Iwan 1966)
-- dashpot c v: no mechanism of its own, but what ties a march to a motion (`tied`)
 """
 
 CODES = {name: code for code, name in enumerate(LAWS)}
@@ -85,49 +84,17 @@ def _slide(z, p, memory, lp):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def _hysteretic(z, p, memory, d):  # pragma: no cover - compiled
-    """H at z from (z0, h0) by the midpoint rule, and in d: dh/dz, dh/dh0, dh/dlimit, dh/dn, dh/dshare."""
-    z0, h0 = memory[0], memory[1]
-    step = z - z0
-    limit, n, share = p[1], p[2], p[3]
-    h = h0 + step
-    if limit <= 0.0:
-        d[:] = 0.0
-        return 0.0
-    for _ in range(40):
-        middle = 0.5 * (h + h0)
-        s = 1.0 if step * middle > 0 else -1.0
-        a = share * s + 1.0 - share
-        size = abs(middle) / limit
-        rate = 1.0 - a * size**n
-        slope = -a * n * size ** (n - 1.0) / limit * (1.0 if middle > 0 else -1.0) if size > 0 else 0.0
-        f = h - h0 - step * rate
-        df = 1.0 - 0.5 * step * slope
-        if df < 0.2:
-            df = 0.2
-        change = f / df
-        h -= change
-        if abs(change) <= 1e-13 * (abs(h) + abs(h0)):
-            break
-    middle = 0.5 * (h + h0)
-    s = 1.0 if step * middle > 0 else -1.0
-    a = share * s + 1.0 - share
-    size = abs(middle) / limit
-    power = size**n
-    rate = 1.0 - a * power
-    slope = -a * n * size ** (n - 1.0) / limit * (1.0 if middle > 0 else -1.0) if size > 0 else 0.0
-    down = 1.0 / max(1.0 - 0.5 * step * slope, 0.2)
-    d[0] = rate * down
-    d[1] = (1.0 + 0.5 * step * slope) * down
-    d[2] = step * a * n * power / limit * down
-    d[3] = -step * a * power * np.log(size) * down if size > 1e-12 else 0.0
-    d[4] = -step * (s - 1.0) * power * down
+    """H at z from (z0, h0), and in d: dh/dz, dh/dh0, dh/dlimit, dh/dn, dh/dshare."""
+    of = np.empty(6)
+    h = yielded(z - memory[0], 0.0, memory[1], p[1], p[2], p[3], of)
+    yields(z - memory[0], memory[1], h, p[1], p[2], p[3], of, d)
     return h
 
 
 @njit(cache=True)
 def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
     """Opposing force, its slopes to z and v; `lp` gets those to the parameters, `d` those that memory needs."""
-    for i in range(lp.size):
+    for i in range(4 if code != 8 else 10):
         lp[i] = 0.0
     if code == 0:
         lp[0] = z**3
@@ -169,9 +136,6 @@ def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
     if code == 9:
         force, slope = _slide(z, p, memory, lp)
         return force, slope, 0.0
-    if code == 10:
-        lp[0] = v
-        return p[0] * v, 0.0, p[0]
     az, av = abs(z), abs(v)
     lp[0] = z * az
     lp[1] = z * z
@@ -209,6 +173,14 @@ def _place(v, gv, f, memory, step, d):  # pragma: no cover - compiled
     return memory[0] + 0.5 * step * before**2 / fall
 
 
+BEYOND = 1e60
+"""N; a force that is no number any more that could be squared."""
+PLAIN = 12
+"""Steps of Newton's method to a force, after which those that leave what it was found to lie between are replaced."""
+ROUNDING = 1e-15
+"""What numbers tell of motion and speed: of a stiff law most of both is taken back by its force."""
+
+
 @njit(cache=True)
 def solve_force(code, z, v, gz, gv, seated, p, memory, last, guess, step, lp, d):  # pragma: no cover - compiled
     """Force f on the structure with f = -law(z + gz f, v + gv f); `last` is that of the step before.
@@ -220,14 +192,25 @@ def solve_force(code, z, v, gz, gv, seated, p, memory, last, guess, step, lp, d)
         return min(max((_place(v, gv, slid, memory, step, d) - z) / gz, -p[0]), p[0])
     if code == 4:
         return -p[0] * part_of_limit(v, max(gv, 0.0) * p[0], memory[0])
-    f = guess
+    if code == 7:
+        return -p[0] * yielded(z - memory[0], gz * p[0], memory[1], p[1], p[2], p[3], d)
+    f, low, high = guess, -np.inf, np.inf
     for i in range(60):
         value, dz, dv = law(code, z + gz * f, v + gv * f, p, memory, lp, d)
         slope = 1 + dz * gz + dv * gv
         if slope < 0.05:
             slope = 0.05
+        if abs(f + value) <= ROUNDING * (abs(dz * z) + abs(dv * v)):
+            break
         change = -(f + value) / slope
-        if i > 20:
+        if change > 0.0:
+            low = max(low, f)
+        else:
+            high = min(high, f)
+        if i > PLAIN and low < high:  # Newton's method goes in circles: what lies between is halved
+            if not low < f + change < high and high - low < np.inf:
+                change = 0.5 * (low + high) - f
+        elif i > 20:
             change *= 0.5
         f += change
         if abs(change) <= 1e-12 * abs(f):
@@ -314,10 +297,26 @@ def _tangents_on(X, df, T, V0, w, dsee):  # pragma: no cover - compiled
                     dsee[e, 1, t] += w[e, r] * X[1, r, t]
 
 
+@njit(cache=True)
+def _given_way(gz, gv, pull):  # pragma: no cover - compiled
+    """What a law's force does within its own step where dashpots give way to it as well: motion and speed (k, k)."""
+    k = gz.shape[0]
+    z, v = gz.copy(), gv.copy()
+    for e in range(k):
+        for o in range(k):
+            for i in range(k):
+                held = 0.0
+                for j in range(k):
+                    held += pull[i, j] * gv[j, o]
+                z[e, o] -= gz[e, i] * held
+                v[e, o] -= gv[e, i] * held
+    return z, v
+
+
 @njit(cache=True, error_model="numpy")
 def march(
     T, W0, W1, w, gz, gv, before, seated, stride, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds,
-    dforces,
+    dforces, push, dpush, pull, toward,
 ):  # fmt: skip # pragma: no cover - compiled
     """Advance over all steps of `source` (n, k, 2); forces (n, k) and motion (n, k, 2) at the ends of the steps.
 
@@ -327,12 +326,17 @@ def march(
     f (k,), memory (k, M) state, changed in place. Tangents: X (2, m, t), df
     (k, t), dmem (k, M, t) their states; dp (k, P, t) which parameter each varies; ds (n, k, 2, s) their sources, those
     of the first s tangents; dforces (n, k, t). Returns the number of steps whose forces did not settle.
+
+    Where a march is tied, dashpots at the places push beside the laws, `pull` (k, k) times what the speed is above
+    `toward` (n, k) before any force of the step; `push` (k,) and dpush (k, t) are then the whole of the force and its
+    tangents, changed in place, and f and df the laws' own. Else `toward` is empty, and `push` is f, dpush df.
     """
     n, k = forces.shape
     m = W0.shape[1]
     nt, ns = X.shape[2], ds.shape[3]
     lp = np.empty((k, 10))
-    d = np.empty((k, 5))
+    d = np.empty((k, 6))
+    of = np.empty(6)
     new = np.empty(k)
     see = np.empty((k, 2))
     fz = np.empty(k)
@@ -340,26 +344,40 @@ def march(
     dsee = np.empty((k, 2, nt))
     rhs = np.empty((k, nt))
     a = np.empty((k, k))
-    bad = 0
+    bad, lost = 0, False
     p0, memory0, lp0, d0 = p[0], memory[0], lp[0], d[0]
+    tied = toward.shape[0] > 0
+    wz, wv = gz, gv
+    if tied:
+        gz, gv = _given_way(wz, wv, pull)
+    drawn, ddrawn = np.zeros(k), np.zeros((k, nt if tied else 0))
     # states are held without what the last force did within its step; that goes into the next one's weight
     V0 = np.empty((2, m))
     for r in range(m):
         V0[0, r] = W0[0, r] + T[0, r] * W1[0, r] + T[1, r] * W1[1, r]
         V0[1, r] = W0[1, r] + T[2, r] * W1[0, r] + T[3, r] * W1[1, r]
         for e in range(k):
-            x[0, r] -= w[e, r] * W1[0, r] * f[e]
-            x[1, r] -= w[e, r] * W1[1, r] * f[e]
+            x[0, r] -= w[e, r] * W1[0, r] * push[e]
+            x[1, r] -= w[e, r] * W1[1, r] * push[e]
             for t in range(nt):
-                X[0, r, t] -= w[e, r] * W1[0, r] * df[e, t]
-                X[1, r, t] -= w[e, r] * W1[1, r] * df[e, t]
+                X[0, r, t] -= w[e, r] * W1[0, r] * dpush[e, t]
+                X[1, r, t] -= w[e, r] * W1[1, r] * dpush[e, t]
     for step in range(n):
         for e in range(k):
             see[e, 0] = source[step, e, 0]
             see[e, 1] = source[step, e, 1]
             for o in range(k):
-                see[e, 1] -= before[e, o] * f[o]
-        _states_on(x, f, T, V0, w, see)
+                see[e, 1] -= before[e, o] * push[o]
+        _states_on(x, push, T, V0, w, see)
+        if tied:
+            for e in range(k):
+                drawn[e] = 0.0
+                for o in range(k):
+                    drawn[e] += pull[e, o] * (see[o, 1] - toward[step, o])
+            for e in range(k):
+                for o in range(k):
+                    see[e, 0] -= wz[e, o] * drawn[o]
+                    see[e, 1] -= wv[e, o] * drawn[o]
         if k == 1:
             new[0] = solve_force(
                 codes[0], see[0, 0], see[0, 1], gz[0, 0], gv[0, 0], seated[0], p0, memory0, f[0], f[0], stride, lp0, d0
@@ -397,6 +415,11 @@ def march(
             motion[step, e, 0] = z
             motion[step, e, 1] = v
             forces[step, e] = new[e]
+            lost = lost or not abs(new[e]) < BEYOND
+        if lost:  # a law that pushes has gone too far
+            x[:], X[:] = np.nan, np.nan
+            motion[step:], forces[step:], dforces[step:] = np.nan, np.nan, np.nan
+            return bad
         if nt > 0:
             for e in range(k):
                 for c in range(2):
@@ -406,8 +429,20 @@ def march(
                         dsee[e, c, t] = 0.0
                 for o in range(k):
                     for t in range(nt):
-                        dsee[e, 1, t] -= before[e, o] * df[o, t]
-            _tangents_on(X, df, T, V0, w, dsee)
+                        dsee[e, 1, t] -= before[e, o] * dpush[o, t]
+            _tangents_on(X, dpush, T, V0, w, dsee)
+            if tied:
+                for e in range(k):
+                    for t in range(nt):
+                        ddrawn[e, t] = 0.0
+                    for o in range(k):
+                        for t in range(nt):
+                            ddrawn[e, t] += pull[e, o] * dsee[o, 1, t]
+                for e in range(k):
+                    for o in range(k):
+                        for t in range(nt):
+                            dsee[e, 0, t] -= wz[e, o] * ddrawn[o, t]
+                            dsee[e, 1, t] -= wv[e, o] * ddrawn[o, t]
             for e in range(k):
                 code = codes[e]
                 if code == 4 and seated[e]:
@@ -446,7 +481,15 @@ def march(
                         for t in range(nt):
                             rhs[e, t] = -s * dp[e, 0, t]
                     continue
-                _, fz[e], fv[e] = law(code, motion[step, e, 0], motion[step, e, 1], p[e], memory[e], lp[e], d[e])
+                if code == 7 and p[e, 0] > 0.0:
+                    z, h = motion[step, e, 0], -new[e] / p[e, 0]
+                    yields(z - memory[e, 0], memory[e, 1], h, p[e, 1], p[e, 2], p[e, 3], of, d[e])
+                    lp[e, 0] = h
+                    fz[e], fv[e] = p[e, 0] * d[e, 0], 0.0
+                    for i in range(3):
+                        lp[e, i + 1] = p[e, 0] * d[e, i + 2]
+                else:
+                    _, fz[e], fv[e] = law(code, motion[step, e, 0], motion[step, e, 1], p[e], memory[e], lp[e], d[e])
                 for t in range(nt):
                     rhs[e, t] = 0.0
                 for i in range(4 if code != 8 else 10):
@@ -487,6 +530,16 @@ def march(
             for e in range(k):
                 for t in range(nt):
                     dforces[step, e, t] = df[e, t]
+            if tied:
+                for e in range(k):
+                    for t in range(nt):
+                        dpush[e, t] = df[e, t] - ddrawn[e, t]
+                    for o in range(k):
+                        held = 0.0
+                        for i in range(k):
+                            held += pull[e, i] * wv[i, o]
+                        for t in range(nt):
+                            dpush[e, t] -= held * df[o, t]
             for e in range(k):
                 code = codes[e]
                 if code == 4:
@@ -549,7 +602,7 @@ def march(
                     memory[e, 0] = z - np.sign(z - memory[e, 0]) * p[e, 1] / p[e, 0]
             elif code == 7:
                 z = motion[step, e, 0]
-                h = _hysteretic(z, p[e], memory[e], d[e])
+                h = -new[e] / p[e, 0] if p[e, 0] > 0.0 else _hysteretic(z, p[e], memory[e], d[e])
                 memory[e, 0] = z
                 memory[e, 1] = h
             elif code == 9 and p[e, 0] > 0.0:
@@ -558,11 +611,17 @@ def march(
                     if _slips(i, z, p[e], memory[e]):
                         memory[e, i] = z - np.sign(z - memory[e, i]) * p[e, 1] * odds_of(i, p[e]) / p[e, 0]
             f[e] = new[e]
+        if tied:
+            for e in range(k):
+                push[e] = f[e] - drawn[e]
+                for o in range(k):
+                    for i in range(k):
+                        push[e] -= pull[e, i] * wv[i, o] * f[o]
     for r in range(m):
         for e in range(k):
-            x[0, r] += w[e, r] * W1[0, r] * f[e]
-            x[1, r] += w[e, r] * W1[1, r] * f[e]
+            x[0, r] += w[e, r] * W1[0, r] * push[e]
+            x[1, r] += w[e, r] * W1[1, r] * push[e]
             for t in range(nt):
-                X[0, r, t] += w[e, r] * W1[0, r] * df[e, t]
-                X[1, r, t] += w[e, r] * W1[1, r] * df[e, t]
+                X[0, r, t] += w[e, r] * W1[0, r] * dpush[e, t]
+                X[1, r, t] += w[e, r] * W1[1, r] * dpush[e, t]
     return bad

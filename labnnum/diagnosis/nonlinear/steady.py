@@ -31,6 +31,9 @@ PASSES = (4, 2)
 """Marches over a run that does not close, at most, from nothing and from a neighbour: each corrects the one before."""
 
 
+FREE = np.zeros((0, 0))
+"""No tie (see `march`)."""
+
 STALLED, ON = 0.6, 2
 """Part of the gap that a step of Newton's method must not leave open, or so many periods are marched after it."""
 
@@ -345,7 +348,8 @@ class Steady:
         marched(self.n, m, k, nt)
         bad = march(
             made.T, made.W0, made.W1, made.w, made.inner, made.rate, made.back, made.seated, self.step, source,
-            self.codes, np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes,
+            self.codes, np.ascontiguousarray(p), x, f, memory, forces, motion, X, df, dmem, dp, ds, slopes, f,
+            df, FREE, FREE,
         )  # fmt: skip
         end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(self.room * k, nt)])
         return Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)

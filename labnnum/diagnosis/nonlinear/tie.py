@@ -17,13 +17,12 @@ from scipy.interpolate import CubicSpline
 
 from labnnum.diagnosis.nonlinear.discrete import Discrete
 from labnnum.diagnosis.nonlinear.effort import marched
-from labnnum.diagnosis.nonlinear.march import CODES, N_P, march
+from labnnum.diagnosis.nonlinear.march import N_P, march
 from labnnum.diagnosis.nonlinear.orbit import Marched, Orbit, Tie
 
 HIDDEN, IN_STEP = 0.11, 0.2
 """Parts of a stretch: what its window hides at either end, so that no motion is known; and where the tie ends that
 brings the march into step. What is compared of the response weighs 3 % up to there."""
-DASHPOT = CODES["dashpot"]
 
 
 def tied_march(
@@ -39,37 +38,34 @@ def tied_march(
     n, k, m, room = source.shape[0], source.shape[1], on.w.shape[1], orbit.memory.shape[1]
     n_s, n_v = 0 if ds is None else ds.shape[3], 0 if vary is None else vary.shape[0]
     nt = n_s + n_v
-    marched(n, m, 2 * k, nt)
+    marched(n, m, k, nt)
     X = np.zeros((2, m, nt))
-    df, dmem, dp = np.zeros((2 * k, nt)), np.zeros((2 * k, room, nt)), np.zeros((2 * k, N_P, nt))
+    df, dmem, dp = np.zeros((k, nt)), np.zeros((k, room, nt)), np.zeros((k, N_P, nt))
     if vary is not None:
-        dp[:k, :, n_s:] = np.moveaxis(vary, 0, -1)
+        dp[:, :, n_s:] = np.moveaxis(vary, 0, -1)
     if ds is None:
         ds = np.zeros((n, k, 2, 0), np.float32)
     forces, motion, slopes = np.empty((n, k)), np.empty((n, k, 2)), np.empty((n, k, nt), np.float32)
-    x, f = orbit.x.copy(), np.concatenate([orbit.f, np.zeros(k)])
-    memory = np.concatenate([orbit.memory, np.zeros((k, room))])
-    w = np.ascontiguousarray(np.tile(on.w, (2, 1)))
-    inner, rate, back = (np.ascontiguousarray(np.tile(a, (2, 2))) for a in (on.inner, on.rate, on.back))
-    seated, kinds = np.tile(on.seated, 2), np.concatenate([codes, np.full(k, DASHPOT)])
-    both = np.concatenate([source, source - bond.motion], axis=1)
+    x, f, memory = orbit.x.copy(), orbit.f.copy(), orbit.memory.copy()
+    push, dpush = f.copy(), df.copy()
+    toward = np.ascontiguousarray(bond.motion[:, :, 1])
     a, b, c = int(HIDDEN * n), int(IN_STEP * n), int((1 - HIDDEN) * n)
     bad = 0
     for low, high, tight in ((0, a, 0.0), (a, b, max(1.0, bond.tight)), (b, c, bond.tight), (c, n, 0.0)):
-        laws = np.zeros((2 * k, N_P))
-        laws[:k], laws[k:, 0] = p, tight * bond.dashpot
-        size = high - low
-        one, moved, along = np.empty((size, 2 * k)), np.empty((size, 2 * k, 2)), np.empty((size, 2 * k, nt), np.float32)
-        pushed = np.ascontiguousarray(np.tile(ds[low:high], (1, 2, 1, 1)))
+        here = slice(low, high)
         bad += march(
-            on.T, on.W0, on.W1, w, inner, rate, back, seated, step, np.ascontiguousarray(both[low:high]), kinds,
-            laws, x, f, memory, one, moved, X, df, dmem, dp, pushed, along,
+            on.T, on.W0, on.W1, on.w, on.inner, on.rate, on.back, on.seated, step, source[here], codes, p, x, f, memory,
+            forces[here], motion[here], X, df, dmem, dp, ds[here], slopes[here], push, dpush,
+            _pull(tight * bond.dashpot, on.rate), toward[here],
         )  # fmt: skip
-        forces[low:high], motion[low:high] = one[:, :k], moved[:, :k]
-        slopes[low:high] = along[:, :k]
-    end = np.concatenate([X.reshape(2 * m, nt), df[:k], dmem[:k].reshape(room * k, nt)])
-    state = np.concatenate([x.reshape(-1), f[:k], memory[:k].reshape(-1)])
-    return Marched(state, forces, motion, end, slopes, bad)
+    end = np.concatenate([X.reshape(2 * m, nt), df, dmem.reshape(room * k, nt)])
+    return Marched(np.concatenate([x.reshape(-1), f, memory.reshape(-1)]), forces, motion, end, slopes, bad)
+
+
+def _pull(dashpot: NDArray, rate: NDArray) -> NDArray[np.float64]:
+    """What dashpots (k,) push with (k, k) per speed before any force of the step: they give way to each other."""
+    c = np.diag(dashpot)
+    return np.linalg.solve(np.eye(c.shape[0]) + c @ rate, c)
 
 
 def tie_of(followed: Orbit, n: int, dashpot: NDArray, tight: float) -> Tie:

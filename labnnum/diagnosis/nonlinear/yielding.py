@@ -1,0 +1,84 @@
+"""Hysteresis (Bouc 1967, Wen 1976) over one step of a march, solved together with the force that it causes.
+
+With h the yielding part of the motion z, dh/dz = 1 - (b sign(dz h) + 1 - b) |h / limit|^n. Within a step h is taken at
+`lean` of the way: the middle where the step is short, its end where it is many limits long. In the middle of such a step
+the rule would overshoot the limit by as much as it had been below it, and ring from step to step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+ROUNDS = 60
+"""Steps of the search for h, which is kept between bounds that close in."""
+
+
+@njit(cache=True, inline="always")
+def _lean(q):  # pragma: no cover - compiled
+    """Where in the step h is taken, and the slope of that to q, the step in limits times n."""
+    if q <= 1.0:
+        return 0.5, 0.0
+    return 1.0 - 0.5 / (q * q), 1.0 / (q * q * q)
+
+
+@njit(cache=True)
+def _rate(step, h0, h, limit, n, share, of):  # pragma: no cover - compiled
+    """dh/dz within the step; in `of` its slopes to h0, h, step, limit, n and share."""
+    q = abs(step) * n / limit
+    lean, grows = _lean(q)
+    at = lean * h + (1.0 - lean) * h0
+    s = 1.0 if step * at > 0 else -1.0
+    a = share * s + 1.0 - share
+    size = abs(at) / limit
+    power = size**n
+    slope = (-a * n * power / size / limit) * (1.0 if at > 0 else -1.0) if size > 1e-300 else 0.0
+    turn = slope * (h - h0) * grows
+    of[0] = slope * (1.0 - lean)
+    of[1] = slope * lean
+    of[2] = turn * n / limit * (1.0 if step > 0 else -1.0)
+    of[3] = a * n * power / limit - turn * q / limit
+    of[4] = (-a * power * np.log(size) if size > 1e-12 else 0.0) + turn * abs(step) / limit
+    of[5] = -(s - 1.0) * power
+    return 1.0 - a * power
+
+
+@njit(cache=True)
+def yielded(step, give, h0, limit, n, share, of):  # pragma: no cover - compiled
+    """H at the end of a step of `step - give h`: `give` is what the force of h takes back of the motion, per h."""
+    if not limit > 0.0:
+        return 0.0
+    high = 3.0 * max(limit, abs(h0))
+    low, h = -high, h0
+    for _ in range(ROUNDS):
+        moved = step - give * h
+        rate = _rate(moved, h0, h, limit, n, share, of)
+        gap = h - h0 - moved * rate
+        if gap > 0.0:
+            high = h
+        else:
+            low = h
+        slope = 1.0 + give * (rate + moved * of[2]) - moved * of[1]
+        new = h - gap / slope if slope > 0.0 else 0.5 * (low + high)
+        if not low < new < high:
+            new = 0.5 * (low + high)
+        change = abs(new - h)
+        h = new
+        if change <= 1e-13 * (abs(h) + abs(h0)):
+            break
+    return h
+
+
+@njit(cache=True)
+def yields(step, h0, h, limit, n, share, of, d):  # pragma: no cover - compiled
+    """Slopes of h at the end of a step to z, h0, limit, n and share, in d."""
+    if not limit > 0.0:
+        d[:] = 0.0
+        return
+    rate = _rate(step, h0, h, limit, n, share, of)
+    down = 1.0 / max(1.0 - step * of[1], 0.2)
+    d[0] = (rate + step * of[2]) * down
+    d[1] = (1.0 + step * of[0]) * down
+    d[2] = step * of[3] * down
+    d[3] = step * of[4] * down
+    d[4] = step * of[5] * down

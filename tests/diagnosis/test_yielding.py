@@ -1,0 +1,72 @@
+"""Hysteresis over a step: against its own differential equation, against dry friction, and its slopes."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from labnnum.diagnosis.nonlinear.march import solve_force
+from labnnum.diagnosis.nonlinear.yielding import yielded, yields
+
+LIMIT, N, SHARE = 0.3, 1.7, 0.6
+
+
+def along(motion, give=0.0, limit=LIMIT, n=N, share=SHARE):
+    h, out = 0.0, []
+    for a, b in zip(motion, motion[1:], strict=False):
+        h = yielded(b - a, give, h, limit, n, share, np.empty(6))
+        out.append(h)
+    return np.array(out)
+
+
+def test_it_follows_its_differential_equation():
+    t = np.linspace(0, 2, 2001)
+
+    def rate(at, h):
+        v = 2 * np.pi * np.cos(2 * np.pi * at)
+        return v * (1 - (SHARE * np.sign(v * h) + 1 - SHARE) * abs(h / LIMIT) ** N)
+
+    exact = solve_ivp(rate, (0, 2), [0.0], t_eval=t, rtol=1e-10, atol=1e-12, max_step=1e-3).y[0]
+    np.testing.assert_allclose(along(np.sin(2 * np.pi * t)), exact[1:], atol=2e-4 * LIMIT)
+
+
+@pytest.mark.parametrize("n", [0.7, 1.0, 3.0, 6.0])
+def test_a_step_of_many_limits_ends_at_the_limit_and_does_not_ring(n):
+    h = along([0, 100 * LIMIT, 0, 100 * LIMIT, 200 * LIMIT, 150 * LIMIT], n=n)
+    np.testing.assert_allclose(h / LIMIT, [1, -1, 1, 1, -1], atol=0.06)
+
+
+def test_a_step_of_a_few_limits_hardly_goes_beyond_them():
+    for step in np.linspace(0.05, 30, 300) * LIMIT:
+        assert np.abs(along(step * np.array([0, 1, 0, 1, 2, 3, 2, 1, 0]), share=1.0)).max() < 1.2 * LIMIT
+
+
+@pytest.mark.parametrize("step", [0.02, -0.1, 0.6, -3.0, 40.0])
+@pytest.mark.parametrize("h0", [0.0, 0.21, -0.29])
+def test_slopes(step, h0):
+    def h(**changed):
+        own = {"step": step, "h0": h0, "limit": LIMIT, "n": N, "share": SHARE, **changed}
+        return yielded(own["step"], 0.0, own["h0"], own["limit"], own["n"], own["share"], np.empty(6))
+
+    d = np.empty(5)
+    yields(step, h0, h(), LIMIT, N, SHARE, np.empty(6), d)
+    for i, (name, at) in enumerate({"step": step, "h0": h0, "limit": LIMIT, "n": N, "share": SHARE}.items()):
+        e = 1e-6 * max(abs(at), 0.1)
+        np.testing.assert_allclose(d[i], (h(**{name: at + e}) - h(**{name: at - e})) / (2 * e), rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize("k", [1.0, 1e3, 1e9])
+def test_a_force_agrees_with_the_motion_that_it_leaves(k):
+    gz, z = 1e-3, 0.4
+    p, memory = np.array([k, LIMIT, N, SHARE]), np.array([0.1, 0.2])
+    f = solve_force(7, z, 0.0, gz, 0.0, False, p, memory, 0.0, 0.0, 1.0, np.empty(10), np.empty(6))
+    h = yielded(z + gz * f - memory[0], 0.0, memory[1], LIMIT, N, SHARE, np.empty(6))
+    np.testing.assert_allclose(-f / k, h, rtol=1e-6, atol=1e-9)
+
+
+def test_a_stiff_law_is_found_to_the_last_digit_of_the_motion():
+    """Newton's method alone goes in circles: the force takes back all of the motion that numbers tell."""
+    gz, z, k3 = 1e-3, 0.7, 1e30
+    p = np.zeros(10)
+    p[0] = k3
+    f = solve_force(0, z, 0.0, gz, 0.0, False, p, np.zeros(2), 0.0, 0.0, 1.0, np.empty(10), np.empty(6))
+    np.testing.assert_allclose(f, -z / gz, rtol=1e-8)
