@@ -23,6 +23,7 @@ from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.irregular import Irregular
 from labnnum.diagnosis.mesh import FINE, Inside
 from labnnum.diagnosis.point import Point, Response, State
+from labnnum.diagnosis.remainder import Remainder
 from labnnum.errors import ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import Site, Term
@@ -33,7 +34,7 @@ from labnnum.structures.base import Structure
 from labnnum.structures.modal import ModalStructure
 
 REACH = 2.5
-"""Modes up to so many times the band are kept; those above enter quasi-statically."""
+"""Modes up to so many times the band are kept; those above enter quasi-statically (`remainder`)."""
 
 NEAR = 1.6
 """Modes up to so many times the band have errors of their own: their flanks still reach into it."""
@@ -63,6 +64,7 @@ class Engine:
             raise ModelError("base motion and force at the same time are not supported: import them as separate runs")
         dofs = [c.dof for c in (*self.outputs, *self.inputs) if c.role != "base"]
         self._affine = affine(structure, dofs, self.basis, self.is_base)
+        self.remainder = Remainder(structure, self.high, self._affine)
         self._cache: dict[tuple, State] = {}
         self._seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
         self._share: tuple[tuple, NDArray[np.complex128]] | None = None
@@ -129,7 +131,7 @@ class Engine:
         use = min(n, max(inside + 3, 12))
         self.basis = vector[:, :use]
         high = vector[:, use:] / np.where(omega[use:] > 0, omega[use:], np.inf)
-        self.high = high  # columns phi / omega: static remainder is high @ high.T
+        self.high = high  # columns phi / omega: the static remainder is high @ high.T at the nominal parameters
         self.high_omega = omega[use:]
         self.high_softness = np.where(omega[use:] > 0, 1.0 / np.maximum(omega[use:], 1e-300), 0.0) ** 2
         self._onto_basis = np.vstack([self.basis.T @ mass, np.zeros(n)])

@@ -35,6 +35,7 @@ class Evaluation:
         self.changes = [(t.whole, c) for t, c in self.others if t.whole is not None]
         self.state = engine.state(point.theta, [(w, point.terms[c]) for w, c in self.changes])
         self.change = point.theta - engine.theta0
+        self.soft = engine.remainder.at(point.theta)
         self.rises: NDArray | None = None
         self._modes()
         self._points()
@@ -78,7 +79,7 @@ class Evaluation:
         """Displacements (l, r, n_f) by participations (m, l) and (m, r) of the modes, those above the basis, whose
         shares are (l, h) and (r, h), as their quasi-static remainder.
         """
-        static = high_left @ high_right.T
+        static = self.soft.between(high_left, high_right)
         slope = (high_left * self.e.high_softness) @ high_right.T
         return sums.summed(left, right, self.d, static, slope, self.s)
 
@@ -361,6 +362,7 @@ class Evaluation:
         jac[slots] = sums.state_slopes(self._rates[1], q, p_out, st.d_log[:n], st.d_load[:n], st.d_out[:n])
         _, _, _, z_in, z_out = self._coupled
         if z_in is None or z_out is None:
+            jac[:n_t] += self.soft.changes(st.high_out, st.high_in)[..., None]
             return
         rises = 1.0 if self.rises is None else self.rises[:, None]
         force = rises * sums.across(self.g, z_in)
@@ -373,7 +375,13 @@ class Evaluation:
             for j, slot in enumerate(slots):
                 own = slice(j * k, (j + 1) * k)
                 jac[slot] -= sums.paired(follow[own], force[None])[0] + sums.paired(back, moved[None, own])[0]
+        high = self.there.high
+        rest = self.soft.changes(np.vstack([st.high_out, high]), np.vstack([st.high_in, high]))
+        o, i, one = len(st.high_out), len(st.high_in), np.ones(self.s.size, complex)
         for j in range(n_t):
+            inner = rest[j, o:, :i, None] - across(rest[j, o:, i:, None] * one, force)
+            jac[j] += rest[j, :o, :i, None] - across(rest[j, :o, i:, None] * one, force)
+            jac[j] -= np.einsum("kof,kif->oif", back, inner)
             for term, c, first, last in self._acting_columns():
                 slope = term.stiffness_slope(self.s, self.point.terms[c], self.change, j)
                 if slope is not None:

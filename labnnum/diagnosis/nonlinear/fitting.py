@@ -17,6 +17,9 @@ from labnnum.structures.modal import ModalStructure
 
 SHORT, STALLS = 0.03, 2
 """Damping from which on a step is a short one, and how often such a step may gain little before a fit ends."""
+UNTOLD = 1e-24
+"""Curvature of the objective, in units of `scale`, that stands for what neither data nor a prior tell of an entry: a
+deviation so large that nobody takes it for a figure, where none at all would look like certainty."""
 EXACT = 80
 """Entries of the base model's vector up to which their tangents are marched."""
 
@@ -99,8 +102,8 @@ def fit(
     value = reduced(r, b)[0] + joint.price(x)
     if best[0] < value:
         value, x, orbits = best[0], best[1], best[2]
-    hessian = best[3]
-    d = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    hessian = best[3] + np.diag(np.where(np.diag(best[3]) < UNTOLD, UNTOLD, 0.0))
+    d = np.sqrt(np.diag(hessian))
     inverse = np.linalg.pinv(hessian / np.outer(d, d), rcond=1e-12) / np.outer(d, d)
     price = joint.price(x)
     if always:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.kernels import combined, modal
+from labnnum.diagnosis.remainder import Soft
 from labnnum.frf import MOTION_ORDER
 from labnnum.structures.modal import ModalStructure
 
@@ -147,8 +148,8 @@ class Base:
         n, m = self.point.theta.size, self.point.shift.size
         return np.array([n, n + m, n + 2 * m, n + 3 * m, n + 3 * m + cords(self.engine)])
 
-    def _remainder(self, a: NDArray, b: NDArray, s: NDArray) -> NDArray:
-        static = a @ b.T
+    def _remainder(self, a: NDArray, b: NDArray, s: NDArray, soft: Soft) -> NDArray:
+        static = soft.between(a, b)
         slope = (a / np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf) ** 2) @ b.T
         square = np.real(s * s) if self.decay == 0.0 else s * s
         return static[:, :, None] - slope[:, :, None] * square
@@ -181,7 +182,7 @@ class Base:
         motion = motion.reshape(self.k, per_place(e))
         w[:, b] += motion[:, :-1] * self.w_typical
         w[:, self.above] *= 1.0 + motion[:, -1:]
-        high_w = self.high_w * (1.0 + motion[:, -1:])
+        high_w, soft = self.high_w * (1.0 + motion[:, -1:]), e.remainder.at(theta)
         out, s = st.out, self.s[self.lines]
         here = d if self.lines.size == d.shape[1] else np.ascontiguousarray(d[:, self.lines])
         plain = combined(out.T * load, here)
@@ -190,13 +191,13 @@ class Base:
         z = combined(w * load, d)
         g = combined((w[:, None] * w[None]).reshape(-1, w.shape[1]), d).reshape(self.k, self.k, d.shape[1])
         if e.high.shape[1]:
-            plain = plain + self._remainder(self.high_out, self.high_load, s)[:, 0]
-            h = h + self._remainder(self.high_out, high_w, s)
-            z = z + self._remainder(high_w, self.high_load, self.s)[:, 0]
-            g = g + self._remainder(high_w, high_w, self.s)
+            plain = plain + self._remainder(self.high_out, self.high_load, s, soft)[:, 0]
+            h = h + self._remainder(self.high_out, high_w, s, soft)
+            z = z + self._remainder(high_w, self.high_load, self.s, soft)[:, 0]
+            g = g + self._remainder(high_w, high_w, self.s, soft)
         if e.is_base:
             plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)[:, self.lines]
-        rest = high_w @ high_w.T
+        rest = soft.between(high_w, high_w)
         reach = IDENTIFIED if isinstance(e.structure, ModalStructure) else JUMPING if self.jumps else MARCHED
         return Receptance(
             self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines, reach
@@ -245,21 +246,34 @@ class Base:
         own, zeta = r.omega[:, None], r.zeta[:, None]
         by_omega = -square * (2 * own + 2j * share * zeta * own + 2 * zeta * rate)
         by_zeta = -square * (2 * (r.omega * r.zeta)[:, None] * rate)
+        soft, high_w = e.remainder.at(theta), self.high_w * grown[:, None]
+        rests = [
+            soft.changes(one, other)
+            for one, other in (
+                (self.high_out, self.high_load), (self.high_out, high_w), (high_w, self.high_load), (high_w, high_w)
+            )
+        ]  # fmt: skip
         for j in range(n_t):
+            if sensors:
+                dp[j] += rests[0][j]
+                dh[j] += rests[1][j][..., None]
+            if places:
+                dz[j] += rests[2][j]
+                dg[j] += rests[3][j][..., None]
             dd = by_omega * (st.d_log[j] * r.omega)[:, None]
             dw = (self.columns.T @ st.shape) @ st.mix[j]
             dw[:, self.above] *= grown[:, None]
             do, dl = st.d_out[j], st.d_load[j][:, 0]
             if sensors:
-                dp[j] = (do.T * r.load + r.out.T * dl) @ d + (r.out.T * r.load) @ dd
+                dp[j] += (do.T * r.load + r.out.T * dl) @ d + (r.out.T * r.load) @ dd
             for a in range(k):
                 if sensors:
-                    dh[j, :, a] = (do.T * r.w[a] + r.out.T * dw[a]) @ d + (r.out.T * r.w[a]) @ dd
+                    dh[j, :, a] += (do.T * r.w[a] + r.out.T * dw[a]) @ d + (r.out.T * r.w[a]) @ dd
                 if not places:
                     continue
-                dz[j, a] = (dw[a] * r.load + r.w[a] * dl) @ d + (r.w[a] * r.load) @ dd
+                dz[j, a] += (dw[a] * r.load + r.w[a] * dl) @ d + (r.w[a] * r.load) @ dd
                 for c in range(k):
-                    dg[j, a, c] = (dw[a] * r.w[c] + r.w[a] * dw[c]) @ d + (r.w[a] * r.w[c]) @ dd
+                    dg[j, a, c] += (dw[a] * r.w[c] + r.w[a] * dw[c]) @ d + (r.w[a] * r.w[c]) @ dd
         at = n_t
         for i, mode in enumerate(b):
             o, w, load = r.out[mode], r.w[:, mode], r.load[mode]
@@ -302,14 +316,14 @@ class Base:
             if sensors:
                 dh[row, :, a] = r.out[hi].T @ one
                 if high:
-                    dh[row, :, a] += self._remainder(self.high_out, self.high_w[[a]], s)[:, 0]
+                    dh[row, :, a] += self._remainder(self.high_out, self.high_w[[a]], s, soft)[:, 0]
             if not places:
                 continue
             dz[row, a] = r.load[hi] @ one
             each = r.w[:, hi] @ one
             if high:
-                dz[row, a] += self._remainder(self.high_w[[a]], self.high_load, s)[0, 0]
-                each = each + self._remainder(self.high_w * grown[:, None], self.high_w[[a]], s)[:, 0]
+                dz[row, a] += self._remainder(self.high_w[[a]], self.high_load, s, soft)[0, 0]
+                each = each + self._remainder(high_w, self.high_w[[a]], s, soft)[:, 0]
             dg[row, a] += each
             dg[row, :, a] += each
         return dp, dh, dz, dg
