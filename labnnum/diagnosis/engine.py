@@ -100,6 +100,7 @@ class Engine:
         identified = isinstance(structure, ModalStructure)  # its mode above the band stands for all that lie there
         self.modes_above = higher[np.argsort(first.omega[higher])][: 0 if identified else ABOVE]
         self.zeta0 = self._damping(first)
+        self.high_zeta = self._damping_above()
         self._sizes(first)
         self.finer: bool | None = None
 
@@ -142,6 +143,12 @@ class Engine:
         d = np.einsum("nm,nk,km->m", first.shape, np.real(m.D), first.shape)
         w = np.where(first.omega > 0, first.omega, np.inf)
         return np.clip(c / (2 * w) + d / (2 * w**2), 1e-5, 0.9)
+
+    def _damping_above(self) -> NDArray[np.float64]:
+        """Damping ratios (h,) of the modes above the basis at the nominal parameters."""
+        m, high = self.structure.matrices(self.theta0), self.high
+        c, d = (np.einsum("nh,nh->h", np.real(a) @ high, high) for a in (m.C, m.D))
+        return np.clip(0.5 * (c * self.high_omega + d), 1e-5, 0.9)
 
     # ---------------------------------------------------------------- states
 

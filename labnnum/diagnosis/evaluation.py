@@ -81,7 +81,25 @@ class Evaluation:
         """
         static = self.soft.between(high_left, high_right)
         slope = (high_left * self.e.high_softness) @ high_right.T
-        return sums.summed(left, right, self.d, static, slope, self.s)
+        out = sums.summed(left, right, self.d, static, slope, self.s)
+        lost = self.e.high_zeta / self.e.high_omega, self.e.high_zeta
+        for part, factor in zip(lost, self._losses, strict=True):
+            out -= ((high_left * part) @ high_right.T)[..., None] * factor
+        return out
+
+    @cached_property
+    def _losses(self) -> tuple[NDArray, NDArray]:
+        """What viscous and hysteretic damping take of the flexibility of a mode above the basis, (n_f,) each, of its
+        damping ratio over its frequency and of its damping ratio: it follows that of the others.
+        """
+        share = float(self.point.law[0])
+        return self._common * (1.0 - share) * self.s, self._common * share * 1j * np.ones(self.s.size)
+
+    @cached_property
+    def _common(self) -> float:
+        """Twice the factor by which the damping of modes beside the band follows that of those in it."""
+        off = self.point.log_zeta - np.log(self.e.zeta0[self.e.band_modes])
+        return 2.0 * float(np.exp(off.mean())) if off.size else 2.0
 
     def run(self, jacobian: bool, modal: bool, common: NDArray | None = None) -> Response:
         """The FRFs, with what else is asked for; `common` are directions of the structure's own irregularity."""
@@ -362,12 +380,10 @@ class Evaluation:
         jac[slots] = sums.state_slopes(self._rates[1], q, p_out, st.d_log[:n], st.d_load[:n], st.d_out[:n])
         _, _, _, z_in, z_out = self._coupled
         if z_in is None or z_out is None:
-            jac[:n_t] += self.soft.changes(st.high_out, st.high_in)[..., None]
+            jac[:n_t] += self.soft.changes(*self._shares)[..., None]
             return
-        rises = 1.0 if self.rises is None else self.rises[:, None]
-        force = rises * sums.across(self.g, z_in)
+        force, back = self._through
         pulled = np.ascontiguousarray(np.swapaxes(z_out, 0, 1))
-        back = rises * np.swapaxes(sums.across(pulled, self.g), 0, 1)  # (k, o, f)
         k = len(self.w)
         turned = (self.w @ st.mix[:n]).reshape(n * k, -1)  # derivatives of the terms' motions
         if turned.any():
@@ -375,18 +391,44 @@ class Evaluation:
             for j, slot in enumerate(slots):
                 own = slice(j * k, (j + 1) * k)
                 jac[slot] -= sums.paired(follow[own], force[None])[0] + sums.paired(back, moved[None, own])[0]
-        high = self.there.high
-        rest = self.soft.changes(np.vstack([st.high_out, high]), np.vstack([st.high_in, high]))
-        o, i, one = len(st.high_out), len(st.high_in), np.ones(self.s.size, complex)
-        for j in range(n_t):
-            inner = rest[j, o:, :i, None] - across(rest[j, o:, i:, None] * one, force)
-            jac[j] += rest[j, :o, :i, None] - across(rest[j, :o, i:, None] * one, force)
-            jac[j] -= np.einsum("kof,kif->oif", back, inner)
+        for j, rest in enumerate(self.soft.changes(*self._shares)):
+            jac[j] += self._felt(rest)
             for term, c, first, last in self._acting_columns():
                 slope = term.stiffness_slope(self.s, self.point.terms[c], self.change, j)
                 if slope is not None:
                     own = np.ascontiguousarray(pulled[:, first:last])
                     jac[j] -= sums.across(own, sums.across(slope, z_in[first:last]))
+
+    @cached_property
+    def _through(self) -> tuple[NDArray, NDArray]:
+        """Forces that the acting terms hold against at their motions, by the inputs (k, i, f) and, what they pass on to
+        the outputs, by the outputs (k, o, f).
+        """
+        _, _, _, z_in, z_out = self._coupled
+        assert z_in is not None
+        assert z_out is not None
+        rises = 1.0 if self.rises is None else self.rises[:, None]
+        pulled = np.ascontiguousarray(np.swapaxes(z_out, 0, 1))
+        return rises * sums.across(self.g, z_in), rises * np.swapaxes(sums.across(pulled, self.g), 0, 1)
+
+    @property
+    def _shares(self) -> tuple[NDArray, NDArray]:
+        """Shares of the modes above the basis in outputs and acting motions (o + k, h), and in inputs and these."""
+        out, load = self.state.high_out, self.state.high_in
+        if not self.acting:
+            return out, load
+        return np.vstack([out, self.there.high]), np.vstack([load, self.there.high])
+
+    def _felt(self, rest: NDArray) -> NDArray:
+        """What a change of the flexibility (o + k, i + k) above the basis does to the displacements, (o, i, f)."""
+        o, i = self.state.high_out.shape[0], self.state.high_in.shape[0]
+        if not self.acting:
+            return np.broadcast_to(rest[..., None], (o, i, self.s.size))
+        force, back = self._through
+        one = np.ones(self.s.size, complex)
+        inner = rest[o:, :i, None] - across(rest[o:, i:, None] * one, force)
+        direct = rest[:o, :i, None] - across(rest[:o, i:, None] * one, force)
+        return direct - np.einsum("kof,kif->oif", back, inner)
 
     def _mode_slopes(self, out: NDArray, q: NDArray, p_out: NDArray) -> None:
         """Derivatives to the modes' frequency offsets, damping and loads, and to the law of damping."""
@@ -395,6 +437,13 @@ class Evaluation:
         sums.mode_slopes(stiffer, damped, q, p_out, b, self.outside, 1 + self.point.shift, e.load_typical, out)
         sums.weighed(swing, q, p_out, out[3 * m_b])
         out[3 * m_b] *= -1.0
+        left, right = self._shares
+        lost = e.high_zeta / e.high_omega, e.high_zeta
+        viscous, firm = (self._felt((left * part) @ right.T) for part in lost)
+        swung = self._common * (self.s * viscous - 1j * firm)
+        if m_b:
+            out[m_b : 2 * m_b] -= (viscous * self._losses[0] + firm * self._losses[1]) / m_b
+        out[3 * m_b] += swung
         if e.n_law == 2:
             n = e.rigid_modes
             lost = np.broadcast_to(-e.elastic * self.s, (n, self.s.size)).copy()

@@ -1,6 +1,6 @@
 """What the modes above the basis give way by, at other parameters than the nominal ones.
 
-They enter by their flexibility alone. Where sensors and drive move along members, as on a column that is shaken from
+They enter by their flexibility, what damping takes of it and its slope to frequency. Where sensors and drive move along members, as on a column that is shaken from
 above, that flexibility is all there is to see, and it goes with the parameters as the stiffness does.
 """
 
@@ -76,7 +76,7 @@ class Remainder:
             slopes = self._onto([np.real(d.K) for d in self.structure.derivatives(theta)])
             now = np.real(self.structure.matrices(theta).K)
             grown = self._onto([now - self._nominal])[0]
-        value = np.linalg.inv(np.eye(len(grown)) + grown)
+        value = np.asarray(np.linalg.inv(np.eye(len(grown)) + grown), np.float64)
         return Soft(value, -value @ slopes @ value)
 
     @cached_property

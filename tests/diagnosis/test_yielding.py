@@ -1,5 +1,7 @@
 """Hysteresis over a step: against its own differential equation, against dry friction, and its slopes."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -12,7 +14,7 @@ LIMIT, N, SHARE = 0.3, 1.7, 0.6
 
 def along(motion, give=0.0, limit=LIMIT, n=N, share=SHARE):
     h, out = 0.0, []
-    for a, b in zip(motion, motion[1:], strict=False):
+    for a, b in pairwise(motion):
         h = yielded(b - a, give, h, limit, n, share, np.empty(6))
         out.append(h)
     return np.array(out)

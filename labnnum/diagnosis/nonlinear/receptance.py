@@ -148,11 +148,17 @@ class Base:
         n, m = self.point.theta.size, self.point.shift.size
         return np.array([n, n + m, n + 2 * m, n + 3 * m, n + 3 * m + cords(self.engine)])
 
-    def _remainder(self, a: NDArray, b: NDArray, s: NDArray, soft: Soft) -> NDArray:
-        static = soft.between(a, b)
-        slope = (a / np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf) ** 2) @ b.T
+    def _remainder(self, a: NDArray, b: NDArray, s: NDArray, soft: tuple[Soft, float]) -> NDArray:
+        omega = np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf)
+        zeta, h = soft[1] * self.engine.high_zeta, self.hysteretic
         square = np.real(s * s) if self.decay == 0.0 else s * s
-        return static[:, :, None] - slope[:, :, None] * square
+        out = soft[0].between(a, b)[:, :, None] - ((a / omega**2) @ b.T)[:, :, None] * square
+        out = out - ((a * (2.0 * (1.0 - h) * zeta / omega)) @ b.T)[:, :, None] * s
+        return out - ((a * (2j * h * zeta)) @ b.T)[:, :, None] if h else out
+
+    def _common(self, log_zeta: NDArray) -> float:
+        """Factor by which the damping of modes beside the band follows that of those in it."""
+        return float(np.exp(np.mean(log_zeta - np.log(self.engine.zeta0[self.engine.band_modes]))))
 
     # ---------------------------------------------------------------- values
 
@@ -167,9 +173,9 @@ class Base:
         zeta = e.zeta0[: omega.size].copy()
         rigid = slice(0, e.rigid_modes)
         omega[rigid] = SUSPENDED * e.band[0] * np.exp(hung[:1])
-        common = np.mean(log_zeta - np.log(zeta[b]))
+        common = self._common(log_zeta)
         outside = np.setdiff1d(np.arange(omega.size), b)
-        zeta[outside] = np.minimum(zeta[outside] * np.exp(common), 0.95)
+        zeta[outside] = np.minimum(zeta[outside] * common, 0.95)
         zeta[b] = np.exp(log_zeta)
         zeta[rigid] = CORDS * np.exp(hung[1:])
         # a lasting force on a rigid body has no response that lasts: of the mean it is left out
@@ -182,7 +188,7 @@ class Base:
         motion = motion.reshape(self.k, per_place(e))
         w[:, b] += motion[:, :-1] * self.w_typical
         w[:, self.above] *= 1.0 + motion[:, -1:]
-        high_w, soft = self.high_w * (1.0 + motion[:, -1:]), e.remainder.at(theta)
+        high_w, soft = self.high_w * (1.0 + motion[:, -1:]), (e.remainder.at(theta), common)
         out, s = st.out, self.s[self.lines]
         here = d if self.lines.size == d.shape[1] else np.ascontiguousarray(d[:, self.lines])
         plain = combined(out.T * load, here)
@@ -197,7 +203,7 @@ class Base:
             g = g + self._remainder(high_w, high_w, self.s, soft)
         if e.is_base:
             plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)[:, self.lines]
-        rest = soft.between(high_w, high_w)
+        rest = soft[0].between(high_w, high_w)
         reach = IDENTIFIED if isinstance(e.structure, ModalStructure) else JUMPING if self.jumps else MARCHED
         return Receptance(
             self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines, reach
@@ -227,7 +233,7 @@ class Base:
         self, x: NDArray, r: Receptance, d: NDArray, s: NDArray, wanted: tuple[bool, bool]
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
         e, b = self.engine, self.engine.band_modes
-        theta, shift, _, _, hung, motion = np.split(x, self.cuts)
+        theta, shift, log_zeta, _, hung, motion = np.split(x, self.cuts)
         st = e.state(theta)
         sensors, places = wanted
         n_t, m_b, k, n_f = theta.size, b.size, self.k, s.size
@@ -246,9 +252,9 @@ class Base:
         own, zeta = r.omega[:, None], r.zeta[:, None]
         by_omega = -square * (2 * own + 2j * share * zeta * own + 2 * zeta * rate)
         by_zeta = -square * (2 * (r.omega * r.zeta)[:, None] * rate)
-        soft, high_w = e.remainder.at(theta), self.high_w * grown[:, None]
+        soft, high_w = (e.remainder.at(theta), self._common(log_zeta)), self.high_w * grown[:, None]
         rests = [
-            soft.changes(one, other)
+            soft[0].changes(one, other)
             for one, other in (
                 (self.high_out, self.high_load), (self.high_out, high_w), (high_w, self.high_load), (high_w, high_w)
             )

@@ -65,7 +65,7 @@ def tied_march(
 def _pull(dashpot: NDArray, rate: NDArray) -> NDArray[np.float64]:
     """What dashpots (k,) push with (k, k) per speed before any force of the step: they give way to each other."""
     c = np.diag(dashpot)
-    return np.linalg.solve(np.eye(c.shape[0]) + c @ rate, c)
+    return np.asarray(np.linalg.solve(np.eye(c.shape[0]) + c @ rate, c), np.float64)
 
 
 def tie_of(followed: Orbit, n: int, dashpot: NDArray, tight: float) -> Tie:

@@ -1,8 +1,8 @@
 """Hysteresis (Bouc 1967, Wen 1976) over one step of a march, solved together with the force that it causes.
 
-With h the yielding part of the motion z, dh/dz = 1 - (b sign(dz h) + 1 - b) |h / limit|^n. Within a step h is taken at
-`lean` of the way: the middle where the step is short, its end where it is many limits long. In the middle of such a step
-the rule would overshoot the limit by as much as it had been below it, and ring from step to step.
+With h the yielding part of the motion z, dh/dz = 1 - (b sign(dz h) + 1 - b) |h / limit|^n. Within a step h is taken
+at `lean` of the way: the middle where the step is short, its end where it is many limits long. In the middle of such a
+step the rule would overshoot the limit by as much as it had been below it, and ring from step to step.
 """
 
 from __future__ import annotations
