@@ -1,7 +1,8 @@
 """What the modes above the basis give way by, at other parameters than the nominal ones.
 
-They enter by their flexibility, what damping takes of it and its slope to frequency. Where sensors and drive move along members, as on a column that is shaken from
-above, that flexibility is all there is to see, and it goes with the parameters as the stiffness does.
+They enter by their flexibility, what damping takes of it and its slope to frequency. Where sensors and drive move along
+members, as on a column that is shaken from above, that flexibility is all there is to see, and it goes with the
+parameters as the stiffness does.
 """
 
 from __future__ import annotations
