@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.march import CODES, N_P
+from labnnum.diagnosis.nonlinear.force import CODES, N_P
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady

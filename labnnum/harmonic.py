@@ -1,4 +1,4 @@
-r"""Harmonic balance of one degree of freedom with any law of `labnnum.diagnosis.nonlinear.march`, with continuation.
+r"""Harmonic balance of one degree of freedom with any law of `labnnum.diagnosis.nonlinear.force`, with continuation.
 
 .. math:: m \ddot u + c \dot u + k u + f(u, \dot u) = F \cos \Omega t
 
@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.march import CODES, LAWS, law
+from labnnum.diagnosis.nonlinear.force import CODES, LAWS, law
 from labnnum.diagnosis.nonlinear.prescribed import along
 from labnnum.errors import EstimationError, ModelError
 

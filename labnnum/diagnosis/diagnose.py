@@ -183,8 +183,8 @@ def _held(structure: Structure) -> list[Fault]:
 
 def _known(structure: Structure) -> list[Lead]:
     """Nonlinear laws that the structure holds."""
+    from labnnum.diagnosis.nonlinear.force import N_P
     from labnnum.diagnosis.nonlinear.locate import Lead, Spot
-    from labnnum.diagnosis.nonlinear.march import N_P
 
     out = []
     for law in structure.laws if isinstance(structure, ExtendedStructure) else ():

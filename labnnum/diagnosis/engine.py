@@ -150,6 +150,15 @@ class Engine:
         c, d = (np.einsum("nh,nh->h", np.real(a) @ high, high) for a in (m.C, m.D))
         return np.clip(0.5 * (c * self.high_omega + d), 1e-5, 0.9)
 
+    def followed(self, log_zeta: NDArray) -> float:
+        """Factor by which the damping of modes beside the band follows that of those in it, `log_zeta` (m_b,)."""
+        return float(np.exp(np.mean(log_zeta - np.log(self.zeta0[self.band_modes]))))
+
+    @property
+    def high_losses(self) -> tuple[NDArray, NDArray]:
+        """Of the modes above the basis, (h,) each: damping ratio over frequency, and damping ratio."""
+        return self.high_zeta / self.high_omega, self.high_zeta
+
     # ---------------------------------------------------------------- states
 
     def state(self, theta: NDArray, changes: Sequence[tuple[Change, NDArray]] = ()) -> State:

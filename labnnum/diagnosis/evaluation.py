@@ -82,8 +82,7 @@ class Evaluation:
         static = self.soft.between(high_left, high_right)
         slope = (high_left * self.e.high_softness) @ high_right.T
         out = sums.summed(left, right, self.d, static, slope, self.s)
-        lost = self.e.high_zeta / self.e.high_omega, self.e.high_zeta
-        for part, factor in zip(lost, self._losses, strict=True):
+        for part, factor in zip(self.e.high_losses, self._losses, strict=True):
             out -= ((high_left * part) @ high_right.T)[..., None] * factor
         return out
 
@@ -92,14 +91,8 @@ class Evaluation:
         """What viscous and hysteretic damping take of the flexibility of a mode above the basis, (n_f,) each, of its
         damping ratio over its frequency and of its damping ratio: it follows that of the others.
         """
-        share = float(self.point.law[0])
-        return self._common * (1.0 - share) * self.s, self._common * share * 1j * np.ones(self.s.size)
-
-    @cached_property
-    def _common(self) -> float:
-        """Twice the factor by which the damping of modes beside the band follows that of those in it."""
-        off = self.point.log_zeta - np.log(self.e.zeta0[self.e.band_modes])
-        return 2.0 * float(np.exp(off.mean())) if off.size else 2.0
+        share, twice = float(self.point.law[0]), 2.0 * self.e.followed(self.point.log_zeta)
+        return twice * (1.0 - share) * self.s, twice * share * 1j * np.ones(self.s.size)
 
     def run(self, jacobian: bool, modal: bool, common: NDArray | None = None) -> Response:
         """The FRFs, with what else is asked for; `common` are directions of the structure's own irregularity."""
@@ -438,12 +431,9 @@ class Evaluation:
         sums.weighed(swing, q, p_out, out[3 * m_b])
         out[3 * m_b] *= -1.0
         left, right = self._shares
-        lost = e.high_zeta / e.high_omega, e.high_zeta
-        viscous, firm = (self._felt((left * part) @ right.T) for part in lost)
-        swung = self._common * (self.s * viscous - 1j * firm)
-        if m_b:
-            out[m_b : 2 * m_b] -= (viscous * self._losses[0] + firm * self._losses[1]) / m_b
-        out[3 * m_b] += swung
+        viscous, firm = (self._felt((left * part) @ right.T) for part in e.high_losses)
+        out[m_b : 2 * m_b] -= (viscous * self._losses[0] + firm * self._losses[1]) / m_b
+        out[3 * m_b] += 2.0 * e.followed(self.point.log_zeta) * (self.s * viscous - 1j * firm)
         if e.n_law == 2:
             n = e.rigid_modes
             lost = np.broadcast_to(-e.elastic * self.s, (n, self.s.size)).copy()

@@ -9,8 +9,8 @@ from labnnum.diagnosis import diagnose, observe_all
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.explore import calmed
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.study import from_calm
 from labnnum.diagnosis.scatter import Scatter

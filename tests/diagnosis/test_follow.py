@@ -8,8 +8,8 @@ import pytest
 from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.explore import explore
+from labnnum.diagnosis.nonlinear.force import CODES
 from labnnum.diagnosis.nonlinear.locate import spots
-from labnnum.diagnosis.nonlinear.march import CODES
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest

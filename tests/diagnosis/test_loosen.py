@@ -10,9 +10,9 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.effort import LONG, STEP, counted, marched, spent
 from labnnum.diagnosis.nonlinear.follow import along, marched_from
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
 from labnnum.diagnosis.nonlinear.loosen import _astray, in_step
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.orbit import Tie, scaled
 from labnnum.diagnosis.nonlinear.problem import reduced
 from labnnum.diagnosis.nonlinear.records import stretch_of

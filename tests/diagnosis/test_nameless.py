@@ -9,9 +9,9 @@ import pytest
 from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.gates import bent_channel, beyond, drifted
 from labnnum.diagnosis.nonlinear.decision import NAMELESS, _foretells
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.further import acts
 from labnnum.diagnosis.nonlinear.laws import SHAPES, TERMS, force_along
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.moved import moved
 from labnnum.diagnosis.nonlinear.prescribed import along
 from labnnum.diagnosis.nonlinear.run import Run

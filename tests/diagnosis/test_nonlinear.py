@@ -9,9 +9,9 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Study
 from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.explore import engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
+from labnnum.diagnosis.nonlinear.force import CODES
 from labnnum.diagnosis.nonlinear.joined import levels, with_friction
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
-from labnnum.diagnosis.nonlinear.march import CODES
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady

@@ -5,7 +5,7 @@ import pytest
 
 from labnnum.diagnosis import observe_all
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.march import CODES
+from labnnum.diagnosis.nonlinear.force import CODES
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
 from labnnum.diagnosis.nonlinear.steady import Steady

@@ -12,8 +12,8 @@ from labnnum.diagnosis.nonlinear.decision import lead_over
 from labnnum.diagnosis.nonlinear.discrete import feedback
 from labnnum.diagnosis.nonlinear.explore import engine_start, looked
 from labnnum.diagnosis.nonlinear.fitting import GROUPS
+from labnnum.diagnosis.nonlinear.force import CODES, N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
-from labnnum.diagnosis.nonlinear.march import CODES, N_P
 from labnnum.diagnosis.nonlinear.problem import Acting, _fine
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest

@@ -11,10 +11,10 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Study, tried_fit
 from labnnum.diagnosis.nonlinear.decision import MECHANISMS
 from labnnum.diagnosis.nonlinear.fitting import promised
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, recover
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.orbit import scaled
 from labnnum.diagnosis.nonlinear.receptance import Base, per_place
 from labnnum.diagnosis.nonlinear.scales import powers

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from labnnum.diagnosis.nonlinear.march import solve_force
+from labnnum.diagnosis.nonlinear.force import solve_force
 from labnnum.diagnosis.nonlinear.yielding import yielded, yields
 
 LIMIT, N, SHARE = 0.3, 1.7, 0.6

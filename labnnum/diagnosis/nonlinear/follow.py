@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import force_along
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.locate import motion_of, motions_of, window_of
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance

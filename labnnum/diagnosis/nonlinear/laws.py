@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.march import CODES, LAWS, N_P
+from labnnum.diagnosis.nonlinear.force import CODES, LAWS, N_P
 from labnnum.diagnosis.nonlinear.prescribed import along
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import SHAPES, candidates, force_along, general_basis
 from labnnum.diagnosis.nonlinear.locate import (
     Background,
@@ -19,7 +20,6 @@ from labnnum.diagnosis.nonlinear.locate import (
     spectra_of,
     through,
 )
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.problem import Joint
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from labnnum.diagnosis.nonlinear.march import SLIDERS, law, odds_of
+from labnnum.diagnosis.nonlinear.force import law, odds_of
+from labnnum.mechanisms.stick_slip import SLIDERS
 
 
 @njit(cache=True)

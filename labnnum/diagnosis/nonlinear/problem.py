@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
 from labnnum.diagnosis.nonlinear.receptance import HANGS, Base, Receptance, cords, per_place
 from labnnum.diagnosis.nonlinear.run import Run

@@ -156,10 +156,6 @@ class Base:
         out = out - ((a * (2.0 * (1.0 - h) * zeta / omega)) @ b.T)[:, :, None] * s
         return out - ((a * (2j * h * zeta)) @ b.T)[:, :, None] if h else out
 
-    def _common(self, log_zeta: NDArray) -> float:
-        """Factor by which the damping of modes beside the band follows that of those in it."""
-        return float(np.exp(np.mean(log_zeta - np.log(self.engine.zeta0[self.engine.band_modes]))))
-
     # ---------------------------------------------------------------- values
 
     def at(self, x: NDArray) -> Receptance:
@@ -173,7 +169,7 @@ class Base:
         zeta = e.zeta0[: omega.size].copy()
         rigid = slice(0, e.rigid_modes)
         omega[rigid] = SUSPENDED * e.band[0] * np.exp(hung[:1])
-        common = self._common(log_zeta)
+        common = e.followed(log_zeta)
         outside = np.setdiff1d(np.arange(omega.size), b)
         zeta[outside] = np.minimum(zeta[outside] * common, 0.95)
         zeta[b] = np.exp(log_zeta)
@@ -252,7 +248,7 @@ class Base:
         own, zeta = r.omega[:, None], r.zeta[:, None]
         by_omega = -square * (2 * own + 2j * share * zeta * own + 2 * zeta * rate)
         by_zeta = -square * (2 * (r.omega * r.zeta)[:, None] * rate)
-        soft, high_w = (e.remainder.at(theta), self._common(log_zeta)), self.high_w * grown[:, None]
+        soft, high_w = (e.remainder.at(theta), e.followed(log_zeta)), self.high_w * grown[:, None]
         rests = [
             soft[0].changes(one, other)
             for one, other in (

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
 from labnnum.diagnosis.nonlinear.fitting import Made
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import force_along
 from labnnum.diagnosis.nonlinear.locate import Recovered, recover
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.scatter import Scatter
 
 

@@ -20,7 +20,8 @@ from scipy.fft import irfft, rfft
 
 from labnnum.diagnosis.nonlinear.discrete import Discrete, described, discrete, feedback
 from labnnum.diagnosis.nonlinear.effort import marched
-from labnnum.diagnosis.nonlinear.march import N_P, march, remembered
+from labnnum.diagnosis.nonlinear.force import N_P, remembered
+from labnnum.diagnosis.nonlinear.march import march
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Marched, Orbit, Slopes, closed, parts_of, relative, state_of
 from labnnum.diagnosis.nonlinear.receptance import Receptance
 from labnnum.diagnosis.nonlinear.run import Run, precise
@@ -45,7 +46,7 @@ class Steady:
     ----------
     run : Run
     codes : sequence of int
-        See `labnnum.diagnosis.nonlinear.march.CODES`.
+        See `labnnum.diagnosis.nonlinear.force.CODES`.
     fine : int
         Steps of the march to a sample.
     """

@@ -18,8 +18,8 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
 from labnnum.diagnosis.nonlinear.fitting import reduced
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot, recover
-from labnnum.diagnosis.nonlinear.march import N_P
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import LADDER
 from labnnum.diagnosis.scatter import Data, Scatter

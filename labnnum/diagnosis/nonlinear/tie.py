@@ -17,7 +17,8 @@ from scipy.interpolate import CubicSpline
 
 from labnnum.diagnosis.nonlinear.discrete import Discrete
 from labnnum.diagnosis.nonlinear.effort import marched
-from labnnum.diagnosis.nonlinear.march import N_P, march
+from labnnum.diagnosis.nonlinear.force import N_P
+from labnnum.diagnosis.nonlinear.march import march
 from labnnum.diagnosis.nonlinear.orbit import Marched, Orbit, Tie
 
 HIDDEN, IN_STEP = 0.11, 0.2
