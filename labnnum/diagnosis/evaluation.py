@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis import sums
 from labnnum.diagnosis.point import Point, Response
-from labnnum.errors import ModelError
 from labnnum.mechanisms.base import ChannelMechanism, Term
 
 if TYPE_CHECKING:
     from labnnum.diagnosis.engine import Engine
+    from labnnum.diagnosis.irregular import Bent
 
 
 class Evaluation:
@@ -94,22 +94,30 @@ class Evaluation:
         share, twice = float(self.point.law[0]), 2.0 * self.e.followed(self.point.log_zeta)
         return twice * (1.0 - share) * self.s, twice * share * 1j * np.ones(self.s.size)
 
-    def run(self, jacobian: bool, modal: bool, common: NDArray | None = None) -> Response:
-        """The FRFs, with what else is asked for; `common` are directions of the structure's own irregularity."""
+    def run(
+        self, jacobian: bool, modal: bool, common: NDArray | None = None, parts: NDArray | None = None
+    ) -> Response:  # fmt: skip
+        """The FRFs, with what else is asked for; `common` are directions of the structure's own irregularity, and
+        `parts` (n_parts,) what its parts differ by where values and derivatives are to hold that.
+        """
         e, st = self.e, self.state
         x = self._refined_value if e.finer else self._coupled[1]
         if e.is_base:
             x = x + (st.rigid_out[:, None] / self.s**2)[:, None, :]
+        q, p_out = self._refined if e.finer else (self._coupled[0], self._coupled[2])
+        bent = None
+        if parts is not None:
+            bent = e.irregular.bent(self, q, p_out, parts)
+            q, p_out, x = bent.q, bent.p_out, x + bent.added
         x = x.copy()
         extra = self._extra(x)
         factor = self._factor
         value, swap = self._swap(x * factor)
         if not (jacobian or modal):
             return Response(value)
-        q, p_out = self._refined if e.finer else (self._coupled[0], self._coupled[2])
         jac = own = moved = None
         if jacobian:
-            jac = self._jacobian(q, p_out, extra)
+            jac = self._jacobian(q, p_out, extra, bent)
             jac *= factor
             self._chain_jacobian(jac, x)
             jac = jac if swap is None else np.stack([swap(j) for j in jac])
@@ -255,6 +263,16 @@ class Evaluation:
         sums.coupled(self.g, z_in, z_out, h0, dw, q, x, p_out)
         return q, x, p_out, z_in, z_out
 
+    def following(self, pushed: NDArray) -> NDArray:
+        """Motions (m, r, f) of the modes by modal forces (m, r, f), acting terms coupled in."""
+        moved = self.d[:, None] * pushed
+        if not self.acting:
+            return moved
+        _, _, gw, dw = self._receptances()
+        met = np.einsum("mkf,mrf->krf", dw, pushed)
+        held = sums.across(self.g, _solve(sums.across(gw, self.g), met))
+        return moved - np.einsum("mkf,krf->mrf", dw, held)
+
     # ---------------------------------------------------------------- modal terms
 
     def _extra(self, x: NDArray) -> list[tuple[slice, NDArray, NDArray, NDArray]]:
@@ -332,11 +350,13 @@ class Evaluation:
             yield term, c, first, first + term.width
             first += term.width
 
-    def _jacobian(self, q: NDArray, p_out: NDArray, extra: list[tuple[slice, NDArray, NDArray, NDArray]]) -> NDArray:
+    def _jacobian(
+        self, q: NDArray, p_out: NDArray, extra: list[tuple[slice, NDArray, NDArray, NDArray]], bent: Bent | None
+    ) -> NDArray:  # fmt: skip
         e, n_t, m_b = self.e, self.point.theta.size, self.e.band_modes.size
         n_o, n_i, n_f = len(e.outputs), len(e.inputs), self.s.size
         jac = np.zeros((n_t + self.n_terms + 3 * m_b + e.n_law, n_o, n_i, n_f), complex)
-        self._structure_slopes(jac, q, p_out)
+        self._structure_slopes(jac, q, p_out, bent)
         _, _, _, z_in, z_out = self._coupled
         for term, c, first, last in self._acting_columns():
             assert z_in is not None
@@ -363,7 +383,7 @@ class Evaluation:
         follows = 4 * self._own_all[:, 0, 0]  # what the inside takes moves with the frequency
         return sums.rates(self.omega, self.zeta, float(self.point.law[0]), follows, self.s)
 
-    def _structure_slopes(self, jac: NDArray, q: NDArray, p_out: NDArray) -> None:
+    def _structure_slopes(self, jac: NDArray, q: NDArray, p_out: NDArray, bent: Bent | None) -> None:
         """Derivatives to the structure's parameters and to those of changes of the whole structure."""
         st, n_t = self.state, self.point.theta.size
         slots = [*range(n_t), *(n_t + i for _, c in self.changes for i in range(c.start, c.stop))]
@@ -371,6 +391,10 @@ class Evaluation:
             return
         n = len(slots)
         jac[slots] = sums.state_slopes(self._rates[1], q, p_out, st.d_log[:n], st.d_load[:n], st.d_out[:n])
+        if bent is not None:
+            for slot, mix in zip(slots, st.mix[:n], strict=True):
+                jac[slot] -= sums.paired(sums.turned(mix, p_out), bent.pushed[None])[0]
+                jac[slot] -= sums.paired(bent.pulled, sums.turned(mix, q)[None])[0]
         _, _, _, z_in, z_out = self._coupled
         if z_in is None or z_out is None:
             jac[:n_t] += self.soft.changes(*self._shares)[..., None]
@@ -455,41 +479,3 @@ def _solve(a: NDArray, rhs: NDArray) -> NDArray:
     """(I + a) x = rhs for each line: a (k, k, n_f), rhs (k, r, n_f)."""
     none = np.zeros((0, a.shape[0], a.shape[2]), complex)
     return sums.solved(np.ascontiguousarray(a), np.ascontiguousarray(rhs), none)[0]
-
-
-def _or_nothing(engine: Engine, point: Point, terms: Sequence[Term], s: NDArray) -> NDArray[np.complex128]:
-    """FRFs with `terms`, or without the last where its size is beyond what the model can hold."""
-    try:
-        return engine.response(point, terms, s).value
-    except ModelError:
-        held = point.terms[: point.terms.size - terms[-1].n]
-        return engine.response(replace(point, terms=held), terms[:-1], s).value
-
-
-def sweep(
-    engine: Engine, point: Point, term: Term, starts: NDArray, s: NDArray, held: Sequence[Term] = ()
-) -> NDArray[np.complex128]:
-    """FRFs with `term` at each of `starts` (n_starts, n_parameters) added: shape (n_starts, n_out, n_in, n_f).
-
-    `point` is of the model with the terms `held`. What does not depend on the new term is computed once.
-    """
-    terms = [*held, term]
-
-    def at(p: NDArray) -> Point:
-        both = np.concatenate([point.terms, np.asarray(p, float)])
-        return replace(point, terms=both)
-
-    k = term.width
-    if k == 0:
-        return np.stack([_or_nothing(engine, at(p), terms, s) for p in starts])
-    one = engine.evaluation(point, held, s).joined(term)
-    x, h, z, gw = one.ingredients(k)
-    g = engine.grid(term, starts, s)  # (n, k, k, f)
-    if k == 1:
-        force = (-g[:, 0, 0] / (1 + gw[0, 0] * g[:, 0, 0]))[:, None, None] * z  # (n, k, i, f)
-    else:
-        loop = np.matmul(np.moveaxis(gw, 2, 0), np.moveaxis(g, 3, 1)) + np.eye(k)  # (n, f, k, k)
-        motion = np.linalg.solve(loop, np.broadcast_to(np.moveaxis(z, 2, 0), (*loop.shape[:3], z.shape[1])))
-        force = -np.moveaxis(np.matmul(np.moveaxis(g, 3, 1), motion), 1, 3)
-    value = one.to_channels(sums.forced(x, np.ascontiguousarray(h), np.ascontiguousarray(force)))
-    return value + engine.mesh_share(point, held, s, one.to_channels(x[None])[0]) if engine.finer else value

@@ -22,6 +22,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
+class Bent:
+    """Responses of a structure whose parts differ by something.
+
+    `added` (o, i, f): displacements more than without; `q` (m, i, f) and `p_out` (m, o, f): the modes' motions by the
+    inputs and by which the outputs follow; `pushed` and `pulled`, shaped like those: the modal forces that the parts
+    take by them.
+    """
+
+    added: NDArray[np.complex128]
+    q: NDArray[np.complex128]
+    p_out: NDArray[np.complex128]
+    pushed: NDArray[np.complex128]
+    pulled: NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
 class Irregular:
     """Elements (columns whose squares are their stiffness), masses of nodes, and the parts that parameters scale."""
 
@@ -120,14 +136,46 @@ class Irregular:
         """Displacements (k, o, i, f) that parts add which differ by the directions `common` (n_parts, k), and relative
         frequency changes (k, m_b) of band modes, which the displacements leave out.
         """
-        st, s, e = one.state, one.s, one.e
-        h = float(one.point.law[0])
+        every, moved = self.couplings(one)
+        pushed = self._pushed(one, every, q, common)
+        if self.first.size and one.e.is_base:
+            pushed += self._carried(one, common)[:, :, None, None]
+        seen = np.ascontiguousarray(np.swapaxes(p_out, 0, 1))  # (o, m, f)
+        m, k = pushed.shape[:2]
+        added = sums.across(seen, pushed.reshape(m, -1, one.s.size)).reshape(len(seen), k, -1, one.s.size)
+        return -np.swapaxes(added, 0, 1), common.T @ moved
+
+    def bent(self, one: Evaluation, q: NDArray, p_out: NDArray, parts: NDArray) -> Bent:
+        """The modes' motions by the inputs q (m, i, f) and by which the outputs follow p_out (m, o, f), where parts
+        differ by `parts` (n_parts,), frequencies of band modes left where they are; exactly.
+        """
+        every, _ = self.couplings(one)
+        common, m = parts[:, None], len(q)
+        eye = np.repeat(np.eye(m, dtype=complex)[..., None], one.s.size, axis=2)
+        coupled = self._pushed(one, every, eye, common)[:, 0]  # (m, m, f)
+        carried = np.zeros((m, 1, 1))
+        if self.first.size and one.e.is_base:
+            carried = self._carried(one, common)[:, :, None]
+            q = q - one.following(carried * np.ones(one.s.size, complex))
+        loop = np.moveaxis(one.following(coupled), 2, 0) + np.eye(m)
+        both = np.linalg.solve(loop, np.moveaxis(np.concatenate([q, p_out], axis=1), 2, 0))
+        both = np.ascontiguousarray(np.moveaxis(both, 0, 2))
+        met = sums.across(coupled, both)
+        n = q.shape[1]
+        pushed = np.ascontiguousarray(met[:, :n] + carried)
+        more = -sums.paired(p_out, pushed[None])[0]
+        q, p_out, pulled = (np.ascontiguousarray(part, complex) for part in (both[:, :n], both[:, n:], met[:, n:]))
+        return Bent(more, q, p_out, pushed, pulled)
+
+    def _pushed(
+        self, one: Evaluation, every: NDArray, motions: NDArray, common: NDArray
+    ) -> NDArray[np.complex128]:  # fmt: skip
+        """Modal forces (m, k, r, f) that parts take by motions (m, r, f) of the modes; `every` as of `couplings`."""
+        s, e, h = one.s, one.e, float(one.point.law[0])
         middle = float(np.exp(np.mean(np.log(np.maximum(one.omega[e.band_modes], 1e-300)))))
         loss = 2 * float(np.exp(np.mean(one.point.log_zeta))) * ((1 - h) * s / middle + 1j * h)
-        every, moved = self.couplings(one)
-        kinds, m, k = np.array(self.kinds), len(q), common.shape[1]
-        turned = np.ascontiguousarray(np.swapaxes(q, 0, 1))  # (i, m, f)
-        pushed = np.zeros((m, k, q.shape[1], s.size), complex)
+        kinds, m, k = np.array(self.kinds), len(motions), common.shape[1]
+        out = np.zeros((m, k, motions.shape[1], s.size), complex)
         for pick, factor in (
             (kinds == "stiffness", np.ones_like(s)),
             ((kinds == "loss") | (kinds == "zone"), loss),
@@ -136,17 +184,16 @@ class Irregular:
             if pick.any():
                 mixed = (common[pick].T @ every[pick].reshape(-1, m * m)).reshape(k, m, m)
                 mixed = np.swapaxes(mixed, 0, 1).reshape(m * k, m)
-                for i, motion in enumerate(turned):
-                    pushed[:, :, i] += sums.turned(mixed, motion[:, None] * factor).reshape(m, k, s.size)
-        seen = np.ascontiguousarray(np.swapaxes(p_out, 0, 1))  # (o, m, f)
-        added = sums.across(seen, pushed.reshape(m, -1, s.size)).reshape(len(seen), k, -1, s.size)
-        out = -np.swapaxes(added, 0, 1)
-        if self.first.size and e.is_base:
-            w = self.masses.T @ st.shape
-            carried = np.add.reduceat(w * (self.masses.T @ st.rigid)[:, None], self.first, axis=0)
-            load = common[kinds == "mass"].T @ carried  # (k, m)
-            out -= np.einsum("km,mof->kof", load, p_out, optimize=True)[:, :, None]
-        return out, common.T @ moved
+                for i, motion in enumerate(np.ascontiguousarray(np.swapaxes(motions, 0, 1))):
+                    out[:, :, i] += sums.turned(mixed, motion[:, None] * factor).reshape(m, k, s.size)
+        return out
+
+    def _carried(self, one: Evaluation, common: NDArray) -> NDArray[np.float64]:
+        """Modal forces (m, k) by base acceleration on masses that differ."""
+        st, heavier = one.state, common[np.array(self.kinds) == "mass"]
+        w = self.masses.T @ st.shape
+        carried = np.add.reduceat(w * (self.masses.T @ st.rigid)[:, None], self.first, axis=0)
+        return carried.T @ heavier
 
 
 def _squares(w: NDArray, starts: NDArray) -> NDArray[np.float64]:

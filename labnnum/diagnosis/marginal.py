@@ -39,6 +39,36 @@ class Marginal:
         return sensible(left - float(across @ np.linalg.solve(inner, across)), whole)
 
 
+@dataclass(frozen=True, eq=False)
+class Irregularity:
+    """What a structure's parts differ by.
+
+    `size` (k,) along the directions that are marginalised, `parts` (n_parts,) part by part; `added` (rows, 2 f) is what
+    the columns of those directions add to the whitened responses.
+    """
+
+    size: NDArray[np.float64]
+    parts: NDArray[np.float64]
+    added: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Whitened columns at one point: `own` marginalised by row, `common` to all, derivatives, residuals.
+
+    `columns` (own + common + n_x + 1, rows, 2 f); `moved` (common, m_b): by how much what is common moves frequencies;
+    `gram` and `factor` as of `marginal.by_rows`.
+    """
+
+    columns: NDArray[np.float64]
+    own: int
+    common: int
+    moved: NDArray[np.float64]
+    gram: NDArray[np.float64]
+    factor: NDArray[np.float64]
+    irregular: Irregularity | None
+
+
 def sensible(left: float, whole: float) -> float:
     """What is left of squares, or the whole where it is next to nothing: so large that its own ordinary errors would
     explain anything.

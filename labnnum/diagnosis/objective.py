@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis import sums
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.evaluation import Evaluation
-from labnnum.diagnosis.marginal import Marginal, by_rows, common_out, sensible
+from labnnum.diagnosis.marginal import Gathered, Irregularity, Marginal, by_rows, common_out, sensible
 from labnnum.diagnosis.point import Response
 from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.errors import LabnnumError
@@ -39,6 +39,17 @@ class Normal:
     held: Marginal
     """What is marginalised, as it is there."""
     moved: NDArray
+    irregular: Irregularity | None = None
+    """Where some row hardly holds anything but what the structure's irregularity adds: what its parts differ by."""
+
+
+BENT = 0.2
+"""Share of a row's response that the structure's irregularity adds, beyond which that moves and widens with the peaks
+of a fit. A sensor that stands still in every mode that is driven, as the joint of a symmetric frame does, sees others
+by the irregularity alone; their frequencies and damping are told by nothing else."""
+FAR = 8.0
+"""Deviations of its irregularity beyond which a structure is no sound one, and its parts are not believed to differ by
+that much."""
 
 
 ROUGH = 0.1
@@ -300,13 +311,17 @@ class Problem:
 
     def value(self, x: NDArray, like: Normal) -> float:
         """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
-        r = self._residuals(self._at(x).run(False, False).value)
+        if like.irregular is None:
+            r = self._residuals(self._at(x).run(False, False).value)
+        else:
+            r = self._residuals(self._at(x).run(False, False, parts=like.irregular.parts).value) + like.irregular.added
         return like.held.reduce(r, self._shifted(x, like.moved)) + self._price(x)
 
     def marginal(self, x: NDArray) -> float:
         """Whitened squares at `x` with what is marginalised taken off at its price; nothing for `x` itself."""
-        columns, n, k, moved = self._columns(x, jacobian=False)
-        gram, shifted = by_rows(columns, n)[0], self._shifted(x, moved)
+        all_of_it = self._gathered(x, jacobian=False)
+        columns, k, moved, gram = all_of_it.columns, all_of_it.common, all_of_it.moved, all_of_it.gram
+        shifted = self._shifted(x, moved)
         whole = float(np.sum(columns[-1] ** 2)) + float(shifted[-1, -1])
         left = float(common_out(gram + shifted if k else gram, k)[-1, -1])
         return sensible(left, whole) - self._price_of_offsets(x, moved)
@@ -344,15 +359,50 @@ class Problem:
         """Residuals (rows, 2 f), what is marginalised by row and in common (rows, 2 f, n), derivatives to `x`, and by
         how much what is common moves frequencies (k, m_b).
         """
-        columns, n, k, moved = self._columns(x, jacobian=jacobian)
-        every = columns.transpose(1, 2, 0)
-        return columns[-1], every[..., :n], every[..., n : n + k], every[..., n + k : -1] if jacobian else None, moved
+        g = self._gathered(x, jacobian=jacobian)
+        n, k, every = g.own, g.common, g.columns.transpose(1, 2, 0)
+        slopes = every[..., n + k : -1] if jacobian else None
+        return g.columns[-1], every[..., :n], every[..., n : n + k], slopes, g.moved
 
-    def _columns(self, x: NDArray, *, jacobian: bool) -> tuple[NDArray[np.float64], int, int, NDArray[np.float64]]:
+    def _gathered(self, x: NDArray, *, jacobian: bool) -> Gathered:
+        """Whitened columns with their Gram matrix, about the likeliest irregularity where a row holds little else."""
+        columns, n, k, moved = self._columns(x, jacobian=jacobian)
+        gram, factor = by_rows(columns, n)
+        irregular = self._irregular(columns, n, gram, self._shifted(x, moved))
+        if irregular is not None:
+            columns, *_ = self._columns(x, jacobian=jacobian, parts=irregular.parts)
+            irregular = replace(irregular, added=_along(irregular.size, columns[n:]))
+            columns[-1] += irregular.added
+            gram, factor = by_rows(columns, n)
+        return Gathered(columns, n, k, moved, gram, factor, irregular)
+
+    def _irregular(self, columns: NDArray, n: int, gram: NDArray, shifted: NDArray) -> Irregularity | None:
+        """The likeliest irregularity at a point with these columns, where it makes more than `BENT` of a row and is
+        none that only something else would make, `FAR`.
+        """
+        if self._common is None or not self._common.shape[1]:
+            return None
+        k, m = self._common.shape[1], len(shifted) - 1
+        inner = gram[:m, :m] + shifted[:-1, :-1] + np.eye(m)
+        size = np.asarray(np.linalg.solve(inner, gram[:m, -1] + shifted[:-1, -1])[:k], float)
+        if np.abs(size).max() > FAR:
+            return None
+        added = _along(size, columns[n:])
+        share = np.sqrt(np.sum(added**2, axis=1)) / self._measured
+        return Irregularity(size, self._common @ size, added) if share.max() > BENT else None
+
+    @cached_property
+    def _measured(self) -> NDArray[np.float64]:
+        """Size of each row's whitened data."""
+        return np.asarray(np.sqrt(np.sum(np.abs(self.data.value * self._weight) ** 2, axis=2)).ravel(), float)
+
+    def _columns(
+        self, x: NDArray, *, jacobian: bool, parts: NDArray | None = None
+    ) -> tuple[NDArray[np.float64], int, int, NDArray[np.float64]]:  # fmt: skip
         """Whitened columns (n + k + n_x + 1, rows, 2 f): n marginalised by row, k in common, derivatives to `x` where
         asked for, residuals; n; k; and by how much what is common moves frequencies (k, m_b).
         """
-        r = self._at(x).run(jacobian, True, self._common)
+        r = self._at(x).run(jacobian, True, self._common, parts)
         own, loose = self._own_columns(r, x), self._loose
         shared = [(r.common, self._weight), *self._inputs(r.value)] if r.common is not None else []
         more = len(loose) * len(r.other_modal) if r.other_modal is not None else 0
@@ -374,20 +424,19 @@ class Problem:
 
     def normal(self, x: NDArray) -> Normal:
         """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
-        columns, n, k, moved = self._columns(x, jacobian=True)
-        gram, factor = by_rows(columns, n)
-        held = Marginal(columns[: n + k], n, factor[:, :, : n + k], gram[:k, :k].copy())
+        g = self._gathered(x, jacobian=True)
+        columns, n, k, moved, gram = g.columns, g.own, g.common, g.moved, g.gram
+        held = Marginal(columns[: n + k], n, g.factor[:, :, : n + k], gram[:k, :k].copy())
         if k:
-            gram += self._with_offsets(x, moved)
+            gram = gram + self._with_offsets(x, moved)
         free = common_out(gram, k)
         both = sensible(float(free[-1, -1]), float(np.sum(columns[-1] ** 2)))
         hessian, gradient = free[:-1, :-1], free[:-1, -1]
         gradient = gradient - self._prior * (x - self.mean)
         asked = self._price_of_offsets(x, moved)
         price = self._price(x)
-        return Normal(
-            both + price, both - asked, price + asked, gradient, hessian + np.diag(self._prior), held, moved
-        )  # fmt: skip
+        hessian = hessian + np.diag(self._prior)
+        return Normal(both + price, both - asked, price + asked, gradient, hessian, held, moved, g.irregular)
 
     def _with_offsets(self, x: NDArray, moved: NDArray) -> NDArray:
         """The prior of frequency offsets in the normal matrix of [common, x, residual]."""
@@ -404,6 +453,11 @@ class Problem:
         if not moved.size:
             return 0.0
         return float(common_out(self._shifted(x, moved), len(moved))[-1, -1])
+
+
+def _along(size: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    """The first columns (k + n, rows, 2 f), each times its size (k,), together."""
+    return np.asarray(np.tensordot(size, columns[: size.size], 1), np.float64)
 
 
 def _put(columns: NDArray, values: NDArray, factor: NDArray) -> None:

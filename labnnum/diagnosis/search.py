@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.evaluation import sweep
 from labnnum.diagnosis.objective import Problem
 from labnnum.diagnosis.point import Point
 from labnnum.diagnosis.scatter import Data, Scatter
+from labnnum.diagnosis.sweep import sweep
 from labnnum.mechanisms.base import Term
 
 

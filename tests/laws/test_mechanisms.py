@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import eigh
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.evaluation import sweep
 from labnnum.diagnosis.places import all_terms, places_of
+from labnnum.diagnosis.sweep import sweep
 from labnnum.errors import ConfigError
 from labnnum.mechanisms import CATALOGUE, extend
 from labnnum.mechanisms.shear_rotary import coarse_mass, rotary_mass, sideways_mass
