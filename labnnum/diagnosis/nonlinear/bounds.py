@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.decision import HALF, MISFIT, NonlinearAnswer
+from labnnum.diagnosis.nonlinear.linearise import errors_of_sensors, share_read
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
@@ -80,8 +81,8 @@ def hopeless(found: NonlinearAnswer, observations: Sequence[Observation], scatte
 
 
 def hopeless_beside(found: NonlinearAnswer, scatter: Scatter, limits: Limits) -> bool:
-    """Whether what the law leaves of periodic runs is nothing linear: the best FRF of what remains after its share has
-    been taken out leaves half of it.
+    """Whether what the law leaves of periodic runs is nothing linear: the best FRF of what remains after its share, as
+    the channels read it, has been taken out leaves half of it.
     """
     runs = found.study.runs
     if not all(r.lasting for r in runs):
@@ -89,9 +90,8 @@ def hopeless_beside(found: NonlinearAnswer, scatter: Scatter, limits: Limits) ->
     last = found.laws[-1].made
     some = [choose_lines(r, 2, scatter.floor) for r in runs]
     joint = Joint(found.study.engine, found.study.point, runs, last.terms, scatter, some, whole=True)
-    made = joint.receptances(last.x)
-    rest = []
-    for run, orbit in zip(runs, found.orbits, strict=False):
-        r = made[run.key]
-        rest.append((run, run.y - r.lift * (r.h * orbit.force).sum(axis=1)))
+    made, orbits = joint.receptances(last.x), found.orbits[: len(runs)]
+    errors = errors_of_sensors(joint, last.x, orbits, range(len(runs)))
+    shares = [share_read(joint, made[run.key], run, o, errors) for run, o in zip(runs, orbits, strict=True)]
+    rest = [(run, run.y - share) for run, share in zip(runs, shares, strict=True)]
     return _least(rest, scatter) > max(limits.misfit, HALF * found.misfit)

@@ -49,7 +49,7 @@ def linearised(
     out = []
     for o, run, orbit in zip(observations, joint.runs, orbits, strict=True):
         r = made[run.key]
-        share = _share(joint, r, run, orbit, errors)
+        share = share_read(joint, r, run, orbit, errors)
         at = np.searchsorted(run.frequency, o.frf.frequency - 1e-9)
         change = share[:, at] / run.u[at]
         made_less = _less(o, change)
@@ -67,7 +67,7 @@ def errors_of_sensors(
     return reduced(*joint.over(runs).parts(x, [orbits[i] for i in runs]))[2]
 
 
-def _share(joint: Joint, r: Receptance, run: Run, orbit: Orbit, errors: NDArray) -> NDArray[np.complex128]:
+def share_read(joint: Joint, r: Receptance, run: Run, orbit: Orbit, errors: NDArray) -> NDArray[np.complex128]:
     """What a run's channels read (n_out, n_f) of the nonlinear force, gains and shapes having their errors."""
     share = r.lift * (r.h * orbit.force).sum(axis=1)
     return share + joint.misread(r, run, orbit, share, errors)
@@ -113,7 +113,7 @@ def linearised_records(
         shares = []
         for run, orbit in zip(runs, orbits, strict=True):
             assert orbit is not None
-            shares.append(_share(joint, made[run.key], run, orbit, errors))
+            shares.append(share_read(joint, made[run.key], run, orbit, errors))
         if o.kind == "hammer":
             n = min(r.u.size for r in runs)
             top, power = np.zeros((len(runs[0].outputs), n), complex), np.zeros(n)
