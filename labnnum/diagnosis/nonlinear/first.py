@@ -395,7 +395,9 @@ class _Whole:
         near = found.misfit < MISFIT and found.lying is None
         hid = found.study.engine is not self.engine  # one mechanism kept the law from being named: that one is sought
         own = sure and not (hid or self.nearly) and found.lying is None  # the search begins with what the law leaves
-        spent = not explained and own and hopeless_beside(found, self.scatter, self.limits)
+        last = found.laws[-1].made
+        paid = last.prior_part > STRAINED * last.n_base  # the base stands in for something linear
+        spent = not explained and own and not paid and hopeless_beside(found, self.scatter, self.limits)
         limits = replace(self.limits, misfit=max(self.limits.misfit, MISFIT))  # the law's own errors are in it too
         kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
         if (explained or found.named) and hid:  # what is in the model already has to be found there, and nothing else
@@ -408,8 +410,6 @@ class _Whole:
             return self.again(*measured, **kind)
         if supposing:
             # a law and the errors of a sound model may excuse a channel's fault
-            last = found.laws[-1].made
-            paid = last.prior_part > STRAINED * last.n_base  # the base stands in for something linear
             rest = self.again(*parts, beside=True, limits=limits, **({} if paid else {"catalogue": CHANNELS}))
             if rest.named or rest.verdict in ("consistent", "parameters"):
                 return rest
