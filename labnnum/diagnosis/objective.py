@@ -311,10 +311,10 @@ class Problem:
 
     def value(self, x: NDArray, like: Normal) -> float:
         """Objective at `x` what is marginalised held as at `like`, so that no step profits by changing it."""
-        if like.irregular is None:
-            r = self._residuals(self._at(x).run(False, False).value)
-        else:
-            r = self._residuals(self._at(x).run(False, False, parts=like.irregular.parts).value) + like.irregular.added
+        held = like.irregular
+        r = self._residuals(self._at(x).run(False, False, parts=None if held is None else held.parts).value)
+        if held is not None:
+            r += held.added
         return like.held.reduce(r, self._shifted(x, like.moved)) + self._price(x)
 
     def marginal(self, x: NDArray) -> float:
