@@ -99,6 +99,37 @@ def test_signs_are_changes_with_level(elements, told):
     assert changed(observe_all(rows)) is told
 
 
+def two_levels(elements, structure=None, seed=1):
+    """Observations of noise at two levels, with other noise added to every channel."""
+    rng = np.random.default_rng(100 + seed)
+    rows = []
+    for level, own in ((5.0, seed), (17.0, seed + 1)):
+        recording = recorded(noise(level, seed=own), elements, structure)
+        data = recording.data + 1e-3 * rng.standard_normal(recording.data.shape)
+        rows.append(Recording(recording.channels, data, RATE, label=f"level {level:g}"))
+    return observe_all(rows)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_noise_that_grows_with_level_is_a_sign_though_no_frf_changes(seed):
+    """An even law leaves FRFs as they are, and makes noise of their input."""
+    made = two_levels([Element("quadratic", joint_23(), (300.0,))], seed=seed)
+    low, high = (o.frf for o in made)
+    _, i, j = np.intersect1d(low.frequency, high.frequency, return_indices=True)
+    low, high = low.at(i), high.at(j)
+    assert low.variance is not None
+    assert high.variance is not None
+    change = np.abs(low.value - high.value) ** 2 / (low.variance + high.variance)
+    assert np.all(change.mean(axis=(1, 2)) < 1)
+    assert changed(made)
+
+
+@pytest.mark.parametrize("damping", [4.0, 0.4, 0.1])
+@pytest.mark.parametrize("seed", [1, 3])
+def test_noise_that_was_added_and_leakage_are_no_sign(damping, seed):
+    assert not changed(two_levels([], chain(damping), seed))
+
+
 def test_stretches_that_are_held_out_are_not_fitted():
     parts = split(observe_all([recorded(noise(5.0), [])]), decay_time=1.0)
     (own,), (held,) = ([o.run for o in side] for side in (parts.train, parts.test))

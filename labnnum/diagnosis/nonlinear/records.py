@@ -175,6 +175,9 @@ def _floor(spectra: NDArray) -> NDArray[np.float64]:
 SURE = 1.8
 """Mean power of an FRF's change from level to level, of what noise and leakage leave, beyond which it changes whatever
 the change looks like; sound structures show 1.0 to 1.4, because variances of few averages are too small."""
+LOUDER, NEIGHBOURS = 4.0, 24
+"""Ratio of the noise that an FRF of the higher level holds to that of the lower, over so many lines that follow, from
+which on the structure makes it: noise that was added is less of a larger response, and leakage as much."""
 
 
 def changed(observations: Sequence[Observation]) -> bool:
@@ -202,4 +205,15 @@ def _differ(low: Observation, high: Observation) -> bool:
         return True
     if low.kind == "hammer" or high.kind == "hammer":
         return False  # hits differ in where they fall: their FRFs change in modes even where nothing does
+    if np.count_nonzero(_louder(one.variance[:, 0, i], other.variance[:, 0, j])) >= need:
+        return True
     return bool(np.sort(moved(one.frequency[i], a, b, variance))[need - 1] < need * CHANCE / sure.size)
+
+
+def _louder(low: NDArray, high: NDArray) -> NDArray[np.bool_]:
+    """Rows whose FRF is noisier at the higher level, by its variance (rows, n_lines), than any linear structure's."""
+    n = low.shape[1] // NEIGHBOURS * NEIGHBOURS
+    if not n:
+        return np.zeros(low.shape[0], bool)
+    a, b = (v[:, :n].reshape(v.shape[0], -1, NEIGHBOURS).mean(axis=2) for v in (low, high))
+    return np.max(b / np.maximum(a, 1e-300), axis=1) > LOUDER
