@@ -8,6 +8,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.force import CODES
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
+from labnnum.diagnosis.nonlinear.run import hann_of
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.nonlinear import Element, NonlinearSimulation
 from labnnum.recording import Channel, Recording
@@ -128,6 +129,25 @@ def test_noise_that_grows_with_level_is_a_sign_though_no_frf_changes(seed):
 @pytest.mark.parametrize("seed", [1, 3])
 def test_noise_that_was_added_and_leakage_are_no_sign(damping, seed):
     assert not changed(two_levels([], chain(damping), seed))
+
+
+@pytest.mark.parametrize("offset", [0.0, 3.0])
+def test_a_line_of_noise_alone_counts_as_not_driven(offset):
+    """A converter's noise at the lowest lines would be a motion of metres."""
+    plain = recorded(noise(25.0), [])
+    data = plain.data + 0.25 * np.random.default_rng(7).standard_normal(plain.data.shape) + offset
+    run = stretch_of(Recording(plain.channels, data, RATE, label="run"), 1000, 6000)
+    driven = run.frequency[run.inside]
+    assert 0.2 < driven[0] < 0.5
+    assert 11.5 < driven[-1] < 12.5
+
+
+def test_spectra_under_a_window_are_those_of_the_signal_under_it():
+    n = 64
+    x = np.random.default_rng(1).standard_normal((2, n))
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
+    seen = hann_of(np.fft.rfft(x, axis=1))
+    np.testing.assert_allclose(seen[:, :-1], np.fft.rfft(x * window, axis=1)[:, :-1], atol=1e-12)
 
 
 def test_stretches_that_are_held_out_are_not_fitted():

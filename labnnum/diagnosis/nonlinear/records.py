@@ -27,6 +27,9 @@ SILENT = 1e-4
 """Power of the input, of its largest, below which a line counts as not excited."""
 FAINT = 1e-2
 """The same of a hit, whose spectrum falls off slowly: what drives little above is simulated, not compared."""
+HEARD = 4.0
+"""Power of the input, of the quietest stretch of its spectrum, below which a line holds noise and no excitation, where
+that stretch is below `FAINT` of the loudest line: noise at 0.1 Hz would be a motion of metres."""
 SAME = 0.02
 """Power of one half of a record, of that of the other, below which a line was left out: the record sweeps."""
 HITS = 1
@@ -113,7 +116,7 @@ def stretch_of(recording: Recording, start: int, stop: int) -> Run:
     """The samples from `start` to `stop`, a few less where that makes the transform quick."""
     n = _quick(stop - start)
     x = recording.data[:, start : start + n]
-    x = x - x.mean(axis=1, keepdims=True)
+    x = x - np.average(x, axis=1, weights=np.hanning(n + 1)[:-1])[:, None]  # the plain mean holds waves cut off
     return _made(recording, np.fft.rfft(x, axis=1) * (2 / n), n, 0.0, True, recording.label)
 
 
@@ -146,8 +149,10 @@ def _made(recording: Recording, spectra: NDArray, n: int, decay: float, ends: bo
     )  # fmt: skip
     wide = max(u.size // 400, 5)
     power = uniform_filter1d(np.abs(run.seen(u)) ** 2, wide, mode="nearest")
-    at = np.flatnonzero(power > SILENT * power.max())
-    driven = np.flatnonzero(power > (FAINT if decay else SILENT) * power.max())
+    of_input = _floor(run.seen(spectra[i])[None])[0]
+    least = HEARD * of_input if of_input < FAINT * power.max() else 0.0
+    at = np.flatnonzero(power > max(SILENT * power.max(), least))
+    driven = np.flatnonzero(power > max((FAINT if decay else SILENT) * power.max(), least))
     on = np.zeros(u.size, bool)
     inside = (1, u.size - 1) if decay else (int(at[0]) + 1, int(at[-1]) - 1)  # with neighbours that the input holds too
     on[max(int(driven[0]), inside[0]) : min(int(driven[-1]), inside[1]) + 1] = True
@@ -155,7 +160,6 @@ def _made(recording: Recording, spectra: NDArray, n: int, decay: float, ends: bo
     if ends:
         u[: int(at[0])] = 0.0  # noise alone, which a free structure would take far
     seen = run.seen(y)
-    of_input = _floor(run.seen(spectra[i])[None])[0]
     through = uniform_filter1d(np.abs(seen) ** 2, wide, axis=1, mode="nearest") / np.maximum(power, 1e-300)
     noise = _floor(seen)[:, None] + np.where(on, through, 0.0) * of_input
     level = float(np.sqrt(np.sum(np.abs(u) ** 2) / 2))

@@ -112,6 +112,7 @@ def hann_of(spectra: NDArray) -> NDArray:
     out = 0.5 * spectra
     out[..., 1:] -= 0.25 * spectra[..., :-1]
     out[..., :-1] -= 0.25 * spectra[..., 1:]
+    out[..., 0] -= 0.25 * np.conj(spectra[..., 1])  # the neighbour below zero
     return out
 
 
