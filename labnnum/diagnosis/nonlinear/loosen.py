@@ -33,13 +33,27 @@ LITTLE = 1.5
 def in_step(bench: Bench, followed: Tried, steps: int) -> Tried | None:
     """A law that was followed, fitted by simulation; in step with the measured motion where a free march is led astray.
 
-    As loosely as leaves least: what a tie has to do is missing, and the noise of the motion is what it brings in. After
-    a long search, as over sweeps, nothing is tied any more.
+    As loosely as leaves least: what a tie has to do is missing, and the noise of the motion is what it brings in. Fits
+    whose motion is as good as given are steps on the way, and compared only where none comes farther: they tell more
+    of the motion that was recovered than of the law, and would let one at a neighbour win. After a long search, as over
+    sweeps, nothing is tied any more.
     """
     free = bench.simulate(followed, steps)
     if tired() or not _astray(bench, followed, free):
         return free
-    return min((t for t in (free, *loosened(bench, followed)) if t is not None), key=lambda t: t.cost, default=None)
+    return tied(bench, followed, free)
+
+
+def tied(bench: Bench, followed: Tried, free: Tried | None) -> Tried | None:
+    """The best of a free simulation and of those in step with the measured motion."""
+    done = loosened(bench, followed)
+    loose = [t for t, tight in zip(done, TIES, strict=False) if tight < HOLDS] or done[-1:]
+    return min((t for t in (free, *loose) if t is not None), key=lambda t: t.cost, default=None)
+
+
+def in_step_already(one: Tried) -> bool:
+    """Whether a simulation is tied all along."""
+    return any(o is not None and o.tie is not None and o.tie.tight > 0 for o in one.made.orbits)
 
 
 def _astray(bench: Bench, followed: Tried, free: Tried | None) -> bool:

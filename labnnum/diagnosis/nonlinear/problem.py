@@ -64,6 +64,9 @@ FEW = 1e-3
 """Least standard deviation of what modes above the band do at a place."""
 FREE = 0.3
 """Standard deviation at most of a place's relative motion in a mode."""
+REMEMBERED = 100.0
+"""Decay times of a mode in a stretch of noise, up to which what rings there from before it is fitted and not compared.
+Through the Hann window it is still a two-thousandth of the response after so many."""
 WARM = 3
 """Periods marched before Newton's method where nothing is known of the steady state."""
 
@@ -291,7 +294,23 @@ class Joint:
         """
         heard = replace(run, u=np.zeros_like(run.u)) if silent else run
         columns = self._nuisance(r, heard, orbit, r.lines, share)
-        return np.einsum("on,onf->of", errors, columns, optimize=True)
+        return np.einsum("on,onf->of", errors[:, : columns.shape[1]], columns, optimize=True)
+
+    def _before(self, r: Receptance, run: Run, at: NDArray) -> NDArray[np.complex128]:
+        """Complex columns (n_out, n, at) of what rings in a stretch from before it, two a mode, each channel's own."""
+        b, length = self.engine.band_modes, run.period / run.rate
+        omega, zeta = r.omega[b], r.zeta[b]
+        slow = zeta * omega * length < REMEMBERED
+        pole = omega[slow] * (-zeta[slow] + 1j * np.sqrt(np.maximum(1 - zeta[slow] ** 2, 0.0)))
+        turn = np.exp(-2j * np.pi * at / run.period)
+        ring, back = (
+            (1 - np.exp(p * length))[:, None] / (1 - np.exp(p / run.rate)[:, None] * turn)
+            for p in (pole, np.conj(pole))
+        )
+        columns = np.concatenate([ring + back, 1j * (ring - back)]) / run.period
+        inside = run.inside
+        size = np.sqrt(np.sum(np.abs(run.y[:, inside]) ** 2, axis=1))
+        return size[:, None, None] * columns
 
     @staticmethod
     def _real(a: NDArray) -> NDArray[np.float64]:
@@ -301,7 +320,7 @@ class Joint:
     def parts(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, NDArray]:
         """Whitened residual (n_out, N) and marginalised columns (n_out, n, N)."""
         made = self.receptances(x)
-        r_all, b_all = [], []
+        r_all, b_all, before = [], [], []
         for run, lines, orbit in zip(self.runs, self.lines, orbits, strict=True):
             r = made[run.key]
             at = lines.need
@@ -309,7 +328,9 @@ class Joint:
             r_all.append(self._real(lines.seen(run.y[:, at] - y)))
             columns = lines.seen(np.moveaxis(self._nuisance(r, run, orbit, at, y), 1, 0))
             b_all.append(self._real(np.moveaxis(columns, 0, 1)))
-        return np.concatenate(r_all, axis=-1), np.concatenate(b_all, axis=-1)
+            ringing = self._before(r, run, at) if run.open else np.zeros((y.shape[0], 0, at.size), complex)
+            before.append(self._real(np.moveaxis(lines.seen(np.moveaxis(ringing, 1, 0)), 0, 1)))
+        return np.concatenate(r_all, axis=-1), _beside(b_all, before)
 
     def value(self, x: NDArray, orbits: Sequence[Orbit | None], columns: NDArray) -> float:
         """Objective, what is marginalised held."""
@@ -403,6 +424,19 @@ def _fine(run: Run, terms: Sequence[Acting]) -> int:
     while run.period * fine < steps * top and fine < 16:
         fine *= 2
     return fine
+
+
+def _beside(shared: Sequence[NDArray], own: Sequence[NDArray]) -> NDArray[np.float64]:
+    """Columns (n_out, n, N_i) that runs share, and after them each run's own, which are zero in the others."""
+    out = np.concatenate(shared, axis=-1)
+    ends = np.cumsum([0, *(a.shape[-1] for a in shared)])
+    more = []
+    for a, b, columns in zip(ends[:-1], ends[1:], own, strict=True):
+        if columns.shape[1]:
+            each = np.zeros((*columns.shape[:2], out.shape[-1]))
+            each[..., a:b] = columns
+            more.append(each)
+    return np.concatenate([out, *more], axis=1) if more else out
 
 
 def reduced(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:

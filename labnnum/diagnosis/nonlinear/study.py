@@ -28,7 +28,7 @@ from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import SHAPES, general_basis
 from labnnum.diagnosis.nonlinear.leads import UNNAMED, general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
-from labnnum.diagnosis.nonlinear.loosen import in_step
+from labnnum.diagnosis.nonlinear.loosen import in_step, in_step_already, tied
 from labnnum.diagnosis.nonlinear.problem import KINKED, Joint, reduced, steps_of
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import rounded, spread
@@ -119,6 +119,7 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
     a law may bend the base along the motion, and a strong one holds it so.
     """
     out: list[Tried] = []
+    free: list[tuple[int, Tried]] = []
     best = np.inf
     again = 0
     far = near[0].made.data_part > NOISY * near[0].made.count
@@ -139,8 +140,14 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
         if calm is not None and _coarse(one) and again < FINELY and (t.simulated or t.cost < AGREES * one.cost):
             again += 1
             one = finely(bench, t, one)
+        free += [(len(out), t)] if one.named and not (t.simulated or in_step_already(one)) else []
         out.append(one)
         best = min(best, one.cost)
+    front = min(out, key=lambda t: t.cost)
+    if in_step_already(front) and not tired():  # what was simulated freely has been judged by more
+        for i, t in free:
+            if out[i].cost < CLOSE * front.cost:
+                out[i] = tied(bench, t, out[i]) or out[i]
     if not any(t.simulated for t in out):
         return []
     return plainer(sorted(out, key=lambda t: t.cost))
