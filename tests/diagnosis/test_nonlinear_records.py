@@ -5,11 +5,15 @@ import pytest
 
 from labnnum.diagnosis import observe_all
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.explore import engine_start
 from labnnum.diagnosis.nonlinear.force import CODES
+from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.problem import Joint, reduced
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.records import changed, hits_of, split, stretch_of
 from labnnum.diagnosis.nonlinear.run import hann_of
 from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.nonlinear import Element, NonlinearSimulation
 from labnnum.recording import Channel, Recording
 from labnnum.structures import Chain
@@ -148,6 +152,28 @@ def test_spectra_under_a_window_are_those_of_the_signal_under_it():
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
     seen = hann_of(np.fft.rfft(x, axis=1))
     np.testing.assert_allclose(seen[:, :-1], np.fft.rfft(x * window, axis=1)[:, :-1], atol=1e-12)
+
+
+def test_what_rings_from_before_a_stretch_is_no_misfit():
+    """A linear structure at its own parameters, through a stretch of five decay times of its slowest mode."""
+    structure = chain(4.0)
+    recording = recorded(noise(25.0), [], structure)
+    data = recording.data + 1e-4 * np.random.default_rng(3).standard_normal(recording.data.shape)
+    run = stretch_of(Recording(recording.channels, data, RATE, label="run"), 3000, 3720)
+    engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * 0.3, 2 * np.pi * 12))
+    scatter = Scatter()
+    joint = Joint(engine, engine.start(), [run], (), scatter, [choose_lines(run, 0, 1e-4)])
+    x = engine_start(joint)
+    state = engine.state(engine.theta0)
+    zeta = 4.0 * state.omega[engine.band_modes] / 2000.0
+    at = engine.theta0.size + engine.band_modes.size
+    x[at : at + zeta.size] = np.log(zeta)
+    columns = joint.parts(x, [None])
+    shared = columns[1].shape[1] - 2 * engine.band_modes.size
+    with_ringing = reduced(*columns)[0] / columns[0].size
+    without = reduced(columns[0], columns[1][:, :shared])[0] / columns[0].size
+    assert with_ringing < 2
+    assert without > 20 * with_ringing
 
 
 def test_stretches_that_are_held_out_are_not_fitted():

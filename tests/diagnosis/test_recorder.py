@@ -13,6 +13,7 @@ from labnnum.diagnosis.nonlinear.chain import restarted
 from labnnum.diagnosis.nonlinear.further import further
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.predict import padded, response
+from labnnum.errors import EstimationError
 from labnnum.mechanisms import extend
 from labnnum.mechanisms.recording_filter import RecordingFilter
 from labnnum.recording import Channel, Recording
@@ -189,6 +190,17 @@ def test_a_term_of_the_general_law_that_has_a_name_is_offered_by_it(plain):
 
 
 P = np.array([2e-3, 4e-5, 1e-3, 2e-5])
+
+
+def test_a_steady_state_that_is_lost_on_other_lines_ends_no_diagnosis(plain, monkeypatch):
+    found = plain.detail["nonlinear"]
+
+    def lost(*args, **options):
+        raise EstimationError("the steady response does not settle at the start of the fit")
+
+    monkeypatch.setattr("labnnum.diagnosis.nonlinear.further.fit", lost)
+    spots = [q.spot for q in found.study.recovered]
+    assert further(found.study, found.laws[0], spots, found.scatter, 40.0) is None
 
 
 def test_the_factor_is_one_at_zero_and_its_derivatives_are_exact():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from labnnum.diagnosis.nonlinear.run import settled
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.runs import CLEARER, kept_back
 from labnnum.frf import Frf
@@ -34,3 +35,30 @@ def test_the_last_of_a_level_is_held_out_unless_it_alone_shows_the_law(odd, even
 
 def test_without_a_repetition_the_last_run_is_held_out():
     assert kept_back([seen(1.0, 0.0), seen(3.0, 0.0), seen(9.0, 40.0)]) == {2}
+
+
+def periods(n, error, size=400, seed=2):
+    """Spectra (n, 2, size) of one steady state with noise; `error` is added to each period's first channel."""
+    rng = np.random.default_rng(seed)
+    steady = rng.standard_normal((2, size)) + 1j * rng.standard_normal((2, size))
+    noise = 1e-3 * (rng.standard_normal((n, 2, size)) + 1j * rng.standard_normal((n, 2, size)))
+    out = steady + noise
+    out[:, 0] += np.asarray(error)[:, None]
+    return out
+
+
+@pytest.mark.parametrize(
+    ("error", "kept"),
+    [
+        ([0, 0, 0, 0, 0, 0], (0, 6)),  # noise: all of them
+        ([0.3, 0.05, 0, 0, 0, 0], (2, 6)),  # it still moves into its steady state
+        ([0, 0, 0, 0.02, 0.1, 0.4], (0, 3)),  # it leaves it
+        ([0.5, 0.5, 0.2, 0, 0, 0], (3, 6)),  # it goes from one to another
+    ],
+)
+def test_periods_of_a_run_are_those_of_one_steady_state(error, kept):
+    assert settled(periods(6, error)) == slice(*kept)
+
+
+def test_two_periods_are_both_kept():
+    assert settled(periods(2, [0.3, 0])) == slice(0, 2)

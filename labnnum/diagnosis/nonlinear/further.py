@@ -21,7 +21,7 @@ from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
 from labnnum.diagnosis.nonlinear.receptance import per_place
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
-from labnnum.errors import EstimationError
+from labnnum.errors import EstimationError, ModelError
 
 GAIN = 0.1
 """Share of what the laws so far leave beyond noise that one more must remove."""
@@ -53,7 +53,10 @@ def further(
     chosen = [choose_lines(r, lines, scatter.floor) for r in runs]
     held = first.made.terms
     joint = Joint(engine, point, runs, held, scatter, chosen)
-    made = fit(joint, first.made.x, first.made.orbits, steps=2)
+    try:
+        made = fit(joint, first.made.x, first.made.orbits, steps=2)
+    except (EstimationError, ModelError, np.linalg.LinAlgError):
+        return None  # a steady state that hardly settles tells of no other law
     background = Background(joint, made.x, made.orbits)
     here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
     found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])

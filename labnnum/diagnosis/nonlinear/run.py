@@ -123,6 +123,7 @@ def run_of(
     """The run of period spectra (n_periods, n_channels, n_lines), each scaled by 2/n, with excited lines `on`."""
     from scipy.ndimage import uniform_filter1d
 
+    spectra = spectra[settled(spectra[:, outputs][:, :, on.nonzero()[0][0] : on.nonzero()[0][-1] + 1])]
     mean = spectra.mean(axis=0)
     u, y = mean[inputs[0]].copy(), mean[outputs]
     u[: int(np.flatnonzero(on)[0])] = 0.0  # noise alone, which a free structure would take far
@@ -144,6 +145,34 @@ def run_of(
         n_periods,
     )  # fmt: skip
     return resampled(made)
+
+
+STEADIER = 0.5
+"""Part of the variance of the mean over all periods to which fewer of them must bring it to be taken instead."""
+
+
+def settled(spectra: NDArray) -> slice:
+    """The periods of a run, one after the other and two at least, whose mean is the surest by what they differ by.
+
+    Noise makes that all of them. A structure that still moves into its steady state at the beginning, or leaves one for
+    another in the middle, differs there by far more than noise, and the mean over all is no steady state.
+
+    Parameters
+    ----------
+    spectra : ndarray, shape (n_periods, n_out, n_lines)
+    """
+    n = spectra.shape[0]
+    size = np.sum(np.abs(spectra) ** 2, axis=(0, 2)) + 1e-300
+
+    def variance(a: int, b: int) -> float:
+        apart = spectra[a:b] - spectra[a:b].mean(axis=0)
+        return float(np.sum(np.sum(np.abs(apart) ** 2, axis=(0, 2)) / size)) / ((b - a) * (b - a - 1))
+
+    if n < 3:
+        return slice(0, n)
+    windows = [(a, b) for a in range(n) for b in range(a + 2, n + 1)]
+    a, b = min(windows, key=lambda w: variance(*w))
+    return slice(a, b) if variance(a, b) < STEADIER * variance(0, n) else slice(0, n)
 
 
 ROOM = 2.8
