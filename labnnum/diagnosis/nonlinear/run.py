@@ -149,6 +149,8 @@ def run_of(
 
 STEADIER = 0.5
 """Part of the variance of the mean over all periods to which fewer of them must bring it to be taken instead."""
+ROUNDING = 1e-9
+"""Relative deviation of that mean below which the periods are one."""
 
 
 def settled(spectra: NDArray) -> slice:
@@ -172,7 +174,8 @@ def settled(spectra: NDArray) -> slice:
         return slice(0, n)
     windows = [(a, b) for a in range(n) for b in range(a + 2, n + 1)]
     a, b = min(windows, key=lambda w: variance(*w))
-    return slice(a, b) if variance(a, b) < STEADIER * variance(0, n) else slice(0, n)
+    every = variance(0, n)
+    return slice(a, b) if every > ROUNDING**2 and variance(a, b) < STEADIER * every else slice(0, n)
 
 
 ROOM = 2.8
