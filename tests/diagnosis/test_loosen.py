@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear import study
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.effort import LONG, STEP, counted, marched, spent
 from labnnum.diagnosis.nonlinear.follow import along, marched_from
@@ -139,3 +140,30 @@ def test_a_march_is_astray_that_leaves_more_than_the_law_along_the_motion(kind, 
     bench = SimpleNamespace(runs=(SimpleNamespace(open=kind == "open"),))
     free = None if left is None else tried(left, price, True)
     assert _astray(bench, tried(*followed, False), free) is astray
+
+
+@pytest.mark.parametrize(("rival", "again"), [(0.3, True), (0.0, False)])
+def test_places_are_compared_in_step_where_any_that_comes_near_is(monkeypatch, rival, again):
+    """One place is simulated freely, its neighbour in step with the motion or freely too."""
+
+    def tried(place, cost, simulated=False, tight=0.0):
+        tie = SimpleNamespace(tie=SimpleNamespace(tight=tight) if tight else None)
+        made = SimpleNamespace(data_part=cost, count=100, orbits=(tie,))
+        return SimpleNamespace(
+            mechanism="cubic-stiffness", named=True, simulated=simulated, cost=cost, made=made,
+            spot=SimpleNamespace(place=place),
+        )  # fmt: skip
+
+    shown = {"here": tried("here", 116.0, True), "next": tried("next", 110.0, True, rival)}
+    asked = []
+
+    def in_step_too(bench, followed, free):
+        asked.append(free.spot.place)
+        return tried("here", 107.0, True, 0.3)
+
+    monkeypatch.setattr(study, "in_step", lambda bench, one, steps: shown[one.spot.place])
+    monkeypatch.setattr(study, "tied", in_step_too)
+    with counted():
+        found = study.simulated(None, [tried("here", 180.0), tried("next", 190.0)])
+    assert asked == (["here"] if again else [])
+    assert found[0].spot.place == ("here" if again else "next")

@@ -143,10 +143,10 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
         free += [(len(out), t)] if one.named and not (t.simulated or in_step_already(one)) else []
         out.append(one)
         best = min(best, one.cost)
-    front = min(out, key=lambda t: t.cost)
-    if in_step_already(front) and not tired():  # what was simulated freely has been judged by more
-        for i, t in free:
-            if out[i].cost < CLOSE * front.cost:
+    level = CLOSE * min((t.cost for t in out), default=np.inf)
+    if any(t.simulated and in_step_already(t) and t.cost < level for t in out) and not tired():
+        for i, t in free:  # what was simulated freely has been judged by more
+            if out[i].cost < level:
                 out[i] = tied(bench, t, out[i]) or out[i]
     if not any(t.simulated for t in out):
         return []
