@@ -297,10 +297,12 @@ class Joint:
         return np.einsum("on,onf->of", errors[:, : columns.shape[1]], columns, optimize=True)
 
     def _before(self, r: Receptance, run: Run, at: NDArray) -> NDArray[np.complex128]:
-        """Complex columns (n_out, n, at) of what rings in a stretch from before it, two a mode, each channel's own."""
+        """Complex columns (n_out, n, at) of what rings in a stretch from before it, two a mode, each channel's own;
+        none where the run begins at rest or in its steady state.
+        """
         b, length = self.engine.band_modes, run.period / run.rate
         omega, zeta = r.omega[b], r.zeta[b]
-        slow = zeta * omega * length < REMEMBERED
+        slow = (zeta * omega * length < REMEMBERED) & run.open
         pole = omega[slow] * (-zeta[slow] + 1j * np.sqrt(np.maximum(1 - zeta[slow] ** 2, 0.0)))
         turn = np.exp(-2j * np.pi * at / run.period)
         ring, back = (
@@ -308,8 +310,7 @@ class Joint:
             for p in (pole, np.conj(pole))
         )
         columns = np.concatenate([ring + back, 1j * (ring - back)]) / run.period
-        inside = run.inside
-        size = np.sqrt(np.sum(np.abs(run.y[:, inside]) ** 2, axis=1))
+        size = np.linalg.norm(run.y[:, run.inside], axis=1)
         return size[:, None, None] * columns
 
     @staticmethod
@@ -328,8 +329,8 @@ class Joint:
             r_all.append(self._real(lines.seen(run.y[:, at] - y)))
             columns = lines.seen(np.moveaxis(self._nuisance(r, run, orbit, at, y), 1, 0))
             b_all.append(self._real(np.moveaxis(columns, 0, 1)))
-            ringing = self._before(r, run, at) if run.open else np.zeros((y.shape[0], 0, at.size), complex)
-            before.append(self._real(np.moveaxis(lines.seen(np.moveaxis(ringing, 1, 0)), 0, 1)))
+            ringing = lines.seen(np.moveaxis(self._before(r, run, at), 1, 0))
+            before.append(self._real(np.moveaxis(ringing, 0, 1)))
         return np.concatenate(r_all, axis=-1), _beside(b_all, before)
 
     def value(self, x: NDArray, orbits: Sequence[Orbit | None], columns: NDArray) -> float:

@@ -123,13 +123,13 @@ def run_of(
     """The run of period spectra (n_periods, n_channels, n_lines), each scaled by 2/n, with excited lines `on`."""
     from scipy.ndimage import uniform_filter1d
 
-    spectra = spectra[settled(spectra[:, outputs][:, :, on.nonzero()[0][0] : on.nonzero()[0][-1] + 1])]
+    lines = np.flatnonzero(on)
+    spectra = spectra[settled(spectra[:, outputs, lines[0] : lines[-1] + 1])]
     mean = spectra.mean(axis=0)
     u, y = mean[inputs[0]].copy(), mean[outputs]
-    u[: int(np.flatnonzero(on)[0])] = 0.0  # noise alone, which a free structure would take far
+    u[: lines[0]] = 0.0  # noise alone, which a free structure would take far
     n_periods = spectra.shape[0]
     if n_periods > 1:
-        lines = np.flatnonzero(on)
         h = y[:, on] / u[on]
         grid = np.arange(on.size)
         through = np.array([np.interp(grid, lines, r.real) + 1j * np.interp(grid, lines, r.imag) for r in h])

@@ -140,7 +140,8 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
         if calm is not None and _coarse(one) and again < FINELY and (t.simulated or t.cost < AGREES * one.cost):
             again += 1
             one = finely(bench, t, one)
-        free += [(len(out), t)] if one.named and not (t.simulated or in_step_already(one)) else []
+        if one.named and not (t.simulated or in_step_already(one)):
+            free.append((len(out), t))
         out.append(one)
         best = min(best, one.cost)
     level = CLOSE * min((t.cost for t in out), default=np.inf)
