@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.frf import Frf
 from labnnum.recording import Recording
+from labnnum.rest import lead_of, led
 
 __all__ = ["local_frf"]
 
@@ -38,7 +39,9 @@ DRIVEN = 1e-4
 """Power of the input, of its largest, below which a line is not estimated."""
 
 
-def local_frf(recordings: Recording | Sequence[Recording], *, half: int = HALF, step: int | None = None) -> Frf:
+def local_frf(
+    recordings: Recording | Sequence[Recording], *, half: int = HALF, step: int | None = None, lead: int | None = None
+) -> Frf:  # fmt: skip
     """FRFs of all responses to the one input of a record, every `step`-th line.
 
     Parameters
@@ -50,6 +53,10 @@ def local_frf(recordings: Recording | Sequence[Recording], *, half: int = HALF, 
         Lines on either side that enter an estimate, at least 6.
     step : int, optional
         Lines from one estimate to the next; `2 * half + 1`, so that estimates share no line, if not given.
+    lead : int, optional
+        Samples in which nothing moves that are put before every record; a third of its length before a sweep that
+        goes up and begins at rest if not given, else none (`labnnum.rest`). The first lines of such a sweep turn as
+        little from line to line as what the ends put in, and without it nothing tells the two apart.
 
     Returns
     -------
@@ -70,12 +77,14 @@ def local_frf(recordings: Recording | Sequence[Recording], *, half: int = HALF, 
     R. Pintelon and J. Schoukens 2012, "System Identification", chapter 7.
     """
     if not isinstance(recordings, Recording):
-        return _mean([local_frf(r, half=half, step=step) for r in recordings], [r.label for r in recordings])
-    return local_frf_with_errors(recordings, half=half, step=step)[0]
+        lead = lead_of(recordings) if lead is None else lead
+        every = [local_frf(r, half=half, step=step, lead=lead) for r in recordings]
+        return _mean(every, [r.label for r in recordings])
+    return local_frf_with_errors(recordings, half=half, step=step, lead=lead)[0]
 
 
 def local_frf_with_errors(
-    recording: Recording, *, half: int = HALF, step: int | None = None
+    recording: Recording, *, half: int = HALF, step: int | None = None, lead: int | None = None
 ) -> tuple[Frf, NDArray[np.complex128], NDArray[np.float64]]:
     """`local_frf` of one record, with samples of its error and the input's power.
 
@@ -95,8 +104,10 @@ def local_frf_with_errors(
         raise EstimationError(f"half is {half}, expected at least 6 lines on either side")
     start, stop = max(recording.spans(), key=lambda span: span[1] - span[0])
     x = recording.data[:, start:stop]
+    lead = lead_of([recording]) if lead is None else lead
+    x = led(x - x.mean(axis=1, keepdims=True), lead)
     n = x.shape[1]
-    spectra = np.fft.rfft(x - x.mean(axis=1, keepdims=True), axis=1) / recording.rate
+    spectra = np.fft.rfft(x, axis=1) / recording.rate
     u, y = spectra[recording.inputs[0]], spectra[list(recording.outputs)]
     step = 2 * half + 1 if step is None else step
     centres = np.arange(half + 1, u.size - half, step)
@@ -119,7 +130,7 @@ def local_frf_with_errors(
     made = Frf(
         centres * recording.rate / n, value[:, None], tuple(recording.channels[i] for i in recording.outputs),
         (recording.channels[recording.inputs[0]],), coherence, variance[:, None], float(freedom), "local",
-        {"rate": recording.rate, "n_record": n, "half": half, "step": step},
+        {"rate": recording.rate, "n_record": n, "half": half, "step": step, "lead": lead},
     )  # fmt: skip
     return made, errors, power
 

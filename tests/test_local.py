@@ -103,3 +103,27 @@ def test_coherence_falls_where_noise_is():
     assert frf.coherence is not None
     assert frf.coherence[0, near].min() > 0.9
     assert np.median(frf.coherence) < 0.7
+
+
+def test_a_sweep_from_rest_is_seen_from_its_first_lines_on():
+    """What drives the first mode lies at the very beginning, where its phase turns no more than what the ends leave."""
+    omega, total = 2 * np.pi * 9.0, 4 * N
+    t = np.arange(N) / RATE
+    force = np.zeros(total)
+    force[:N] = np.sin(2 * np.pi * (6 * t + 394 * t**2 / 2 / t[-1]))
+    force[:64] *= np.linspace(0, 1, 64)
+    s = 2j * np.pi * np.fft.rfftfreq(total, 1 / RATE)
+    answer = np.fft.irfft(np.fft.rfft(force) * s**2 / (s**2 + 0.02 * omega * s + omega**2))[:N]
+    answer = answer + 1e-3 * answer.std() * np.random.default_rng(5).standard_normal(N)
+    recording = Recording(CHANNELS, np.vstack([force[:N], answer]), RATE)
+    frf, plain = local_frf(recording), local_frf(recording, lead=0)
+    assert frf.settings["lead"] == N // 3
+
+    def wrong(one):
+        at = (one.frequency > 6.5) & (one.frequency < 14)
+        s = 2j * np.pi * one.frequency[at]
+        exact = s**2 / (s**2 + 0.02 * omega * s + omega**2)
+        return np.median(np.abs(one.value[0, 0, at] - exact) / np.abs(exact))
+
+    assert wrong(frf) < 0.02
+    assert wrong(frf) < 0.2 * wrong(plain)

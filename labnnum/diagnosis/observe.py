@@ -52,8 +52,11 @@ class Observation:
     """Which of the session's recordings these are, in the order in which they were made; empty if not known."""
 
 
-def observe(recording: Recording) -> Observation:
-    """The observation of one recording; its kind follows from `period` and `breaks`."""
+def observe(recording: Recording, lead: int | None = None) -> Observation:
+    """The observation of one recording; its kind follows from `period` and `breaks`.
+
+    `lead`: samples of rest before a record that does not repeat (`local_frf`); by itself it says how many if None.
+    """
     recording.require_finite()
     if not recording.inputs or not recording.outputs:
         raise ChannelError(f"{recording.label}: a diagnosis needs a reference or base channel and a response")
@@ -65,7 +68,7 @@ def observe(recording: Recording) -> Observation:
     elif recording.breaks or is_hit(recording):
         return observe_hits([recording])
     else:
-        made = _random(recording)
+        made = _random(recording, lead)
     peaks = {c.name: float(np.max(np.abs(x))) for c, x in zip(recording.channels, recording.data, strict=True)}
     return replace(made, level=level, clipped=clipped, peaks=peaks)
 
@@ -304,15 +307,28 @@ def hit_spectra(recordings: Sequence[Recording]) -> tuple[NDArray, NDArray, floa
 
 def observe_all(recordings: Sequence[Recording]) -> list[Observation]:
     """Observations of several recordings: hits of one level together, every other recording on its own."""
-    out, hits = [], []
+    out: list[Observation] = []
+    hits: list[tuple[int, Recording]] = []
+    others: list[tuple[int, Recording]] = []
     for i, r in enumerate(recordings):
-        if r.inputs and r.outputs and (is_hit(r.require_finite()) or (r.breaks and not r.period)):
-            hits.append((i, r))
-        else:
-            out.append(replace(observe(r), order=(i,)))
+        hit = r.inputs and r.outputs and (is_hit(r.require_finite()) or (r.breaks and not r.period))
+        (hits if hit else others).append((i, r))
+    leads = _leads([r for _, r in others])
+    out += [replace(observe(r, lead), order=(i,)) for (i, r), lead in zip(others, leads, strict=True)]
     for group in _levels(hits):
         out.append(replace(observe_hits([r for _, r in group]), order=tuple(i for i, _ in group)))
     return out
+
+
+def _leads(recordings: Sequence[Recording]) -> list[int]:
+    """Samples of rest before each record: as many before all that are as long, so that their FRFs share lines."""
+    from labnnum.rest import lead_of
+
+    alike: dict[tuple[int, float], list[Recording]] = {}
+    for r in recordings:
+        alike.setdefault((r.n_samples, r.rate), []).append(r)
+    every = {key: lead_of(some) if all(not r.period for r in some) else 0 for key, some in alike.items()}
+    return [every[r.n_samples, r.rate] for r in recordings]
 
 
 def _levels(hits: Sequence[tuple[int, Recording]]) -> list[list[tuple[int, Recording]]]:
@@ -327,7 +343,7 @@ def _levels(hits: Sequence[tuple[int, Recording]]) -> list[list[tuple[int, Recor
     return groups
 
 
-def _random(recording: Recording) -> Observation:
+def _random(recording: Recording, lead: int | None = None) -> Observation:
     """Local FRFs of the whole record; of several inputs H1 over Hann segments as long as leave thirty averages."""
     from labnnum.estimators import H1
     from labnnum.local import local_frf_with_errors
@@ -335,7 +351,7 @@ def _random(recording: Recording) -> Observation:
 
     longest = max(stop - start for start, stop in recording.spans())
     if len(recording.inputs) == 1 and longest > ENOUGH:
-        made, errors, power = local_frf_with_errors(recording)
+        made, errors, power = local_frf_with_errors(recording, lead=lead)
         assert made.variance is not None
         h, v = made.value[:, 0], made.variance[:, 0]
         v = 0.5 * v + 0.5 * smooth(v, 5)  # few degrees of freedom

@@ -50,7 +50,8 @@ def input_noise(h: NDArray, residual: NDArray, variance: NDArray, power: NDArray
 
 def covering(h: NDArray, variance: NDArray, noise: NDArray) -> NDArray[np.float64]:
     """Variances (n_out, n_f) that cover what the rows share: `noise` (n_f,) of the input over its power."""
-    common = noise * np.abs(h) ** 2
+    with np.errstate(over="ignore"):  # of lines without input, which no row is heard on
+        common = noise * np.abs(h) ** 2
     own = np.maximum(variance - common, OWN * variance)
     common = np.minimum(common, variance)
     return own + _shares(common / np.maximum(own, 1e-300)) * common

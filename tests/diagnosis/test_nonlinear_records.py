@@ -1,5 +1,7 @@
 """Hits, noise and sweeps in the nonlinear diagnosis: simulated responses against another march, and their signs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,14 @@ def noise(level, n=8192, seed=1):
     return level * x / x.std()
 
 
+def sweep(level, n=8192):
+    """A sine from 0.5 to 12 Hz that begins softly and stops in motion."""
+    t = np.arange(n) / RATE
+    x = np.sin(2 * np.pi * (0.5 * t + 11.5 * t**2 / 2 / t[-1]))
+    x[:16] *= np.linspace(0, 1, 16)
+    return level * x
+
+
 def blow(level, n=1024):
     return level * np.exp(-(((np.arange(n) / RATE - 1.0) / 0.05) ** 2))
 
@@ -77,11 +87,19 @@ def simulated(run, law, p):
     return run.seen(linear), run.seen(linear + r.lift * (r.h * orbit.force).sum(axis=1))
 
 
-@pytest.mark.parametrize("kind", ["noise", "hit"])
+@pytest.mark.parametrize("kind", ["noise", "hit", "sweep"])
 def test_what_is_simulated_of_a_record_is_what_another_march_records(kind):
     if kind == "noise":
         recording = recorded(noise(25.0), [Element("cubic", joint_23(), CUBIC)])
         run = stretch_of(recording, 2000, 6096)  # begins and ends in motion
+    elif kind == "sweep":
+        whole = recorded(np.append(sweep(15.0), np.zeros(2048)), [Element("cubic", joint_23(), CUBIC)])
+        recording = Recording(whole.channels, whole.data[:, :8192], RATE, label="sweep")  # ends in motion
+        run = split(observe_all([recording]), 10.0).train[0].run
+        run = replace(run, use=None)
+        driven = run.frequency[run.inside]
+        assert driven[0] < 0.55
+        assert driven[-1] > 11
     else:
         recording = recorded(blow(400.0), [Element("cubic", joint_23(), CUBIC)])
         run = hits_of(observe_all([recording])[0])[0]

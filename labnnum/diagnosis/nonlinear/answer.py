@@ -26,6 +26,7 @@ from labnnum.diagnosis.nonlinear.decision import (
 from labnnum.diagnosis.nonlinear.detect import repeating, signs
 from labnnum.diagnosis.nonlinear.effort import counted, tired
 from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
+from labnnum.diagnosis.nonlinear.fast import fast_kin
 from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.joined import joined, records, with_friction
 from labnnum.diagnosis.nonlinear.linearise import linearised
@@ -248,6 +249,7 @@ class _Search:
         if not self.identified:  # the base of such a model is the quietest level's, and no law has bent it
             best = self._deepened(found, fine_enough(found, anew(found, tried, self.scatter), self.scatter))
             tried = [*yielding_kin(found, best, self.scatter), *tried[1:]]
+            tried = [*fast_kin(found, tried[0], self.scatter), *tried[1:]]
             tried = [*_ahead(nameless_kin(found, tried[0], self.scatter), tried[0], self.limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, self.scatter))
         alone = not self.identified and (_poor(tried[0]) or _bought(tried[0]))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.alike import Equals, others_of
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
 from labnnum.diagnosis.nonlinear.errors import alone, base_errors, errors_of, foretold, noise_of, settled_on
@@ -133,6 +134,8 @@ def decide(
     joint, made = settled_on(found, last, train, test, scatter)
     x, orbits = made
     plain = found.base.x if enough == NEARLY else found.quiet.x
+    if enough == NEARLY and base.prior_part > BENT * base.n_base and last.made.prior_part < SOUND * last.made.n_base:
+        plain = unbent(found.engine, plain)
     base_error = base_errors(found, train, test, plain, scatter)
     extended_error = errors_of(joint, x, orbits, len(train))
     bent = last.made.prior_part > BENT * last.made.n_base and enough == NEARLY
@@ -216,6 +219,15 @@ def _stands_out(
     return ahead and explains and not warped and error[1] < FORETELLS * base_error[1]
 
 
+def unbent(engine: Engine, x: NDArray) -> NDArray[np.float64]:
+    """The base vector with its parameters and damping, and its modes as these make them."""
+    n, m = engine.theta0.size, engine.band_modes.size
+    out = x.copy()
+    out[n : n + m] = 0.0
+    out[n + 2 * m : n + 3 * m] = 0.0
+    return out
+
+
 def lead_over(cost: float, other: float, excess: float, systematic: bool) -> float:
     """Lead of one fit over another, in chi-square; `excess` is what the first leaves, per value.
 
@@ -274,6 +286,10 @@ EXPLAINS, AHEAD, FORETELLS = 0.05, 2.0, 1 / 3
 alone; the part of the base's held-out error to which they bring it;"""
 WARPED = 100.0
 """price of the base beside them, of its entries, above which it is another structure: ten deviations each."""
+SOUND = 4.0
+"""Price of the base beside the laws, of its entries, up to which it is the structure that was given: what the base
+alone can do only as another one, with modes moved beyond their ordinary errors, is no prediction of that structure's.
+"""
 HALF = 0.5
 """Part of what the named laws leave beyond noise that a general law must explain for the names to be wrong."""
 MOST = 2

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.answer import Given, answer, parts_of
-from labnnum.diagnosis.nonlinear.bench import Study
+from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.beside import (
     Beneath,
     added_to,
@@ -37,14 +37,16 @@ from labnnum.diagnosis.nonlinear.decision import (
 )
 from labnnum.diagnosis.nonlinear.detect import CHANGE
 from labnnum.diagnosis.nonlinear.effort import counted
-from labnnum.diagnosis.nonlinear.explore import NOISY, STRAINED
+from labnnum.diagnosis.nonlinear.explore import NOISY, STRAINED, calmed
+from labnnum.diagnosis.nonlinear.fast import held_fast
 from labnnum.diagnosis.nonlinear.force import N_P
-from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.locate import Lead, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
 from labnnum.diagnosis.nonlinear.overloaded import overloaded
 from labnnum.diagnosis.nonlinear.receptance import cords
-from labnnum.diagnosis.nonlinear.stuck import let_go
+from labnnum.diagnosis.nonlinear.start import base_point, quietest
+from labnnum.diagnosis.nonlinear.stuck import held_by, let_go
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
@@ -181,7 +183,10 @@ class _Whole:
         second: NonlinearAnswer | None = None
         if early and not sure:
             quiet, under = self._quiet()
-            if under is not None:
+            fast = self._fast(under) if under is not None else None
+            if fast is not None and under is not None and _explained(fast):
+                found, second, sure = None, fast, True
+            elif under is not None:
                 second = self._above(under)
                 if quiet.named and (second is None or second.reason == UNCONFIRMED or _idle(second)):
                     return None  # with that in the model there is nothing nonlinear, or next to nothing
@@ -240,11 +245,10 @@ class _Whole:
     def _unsprung(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
         """The law without what its structure holds at the same place, from where both are; None where none is."""
         last = second.laws[-1].made
-        made = _without(self.engine, second.study, last.x)
+        made = _without(self.engine, second.study.engine, last.x)
         if made is None:
             return None
         base, values = made
-        held = dict(zip([t.place for t in _held(second)], values, strict=False))
         plain: list[Lead] = []
         stiffer: list[Lead] = []
         for i, t in enumerate(second.laws):
@@ -252,15 +256,38 @@ class _Whole:
             p[: last.terms[i].n] = last.law(i)[0]
             one = t.mechanism == "sliders" and p[2] < ONE_LIMIT
             plain.append(replace(t.lead, p=p, mechanism="stick-slip" if one else t.mechanism))
-            k = sum(v for place, v in held.items() if _same_place(place, t.spot.place))
+            k = held_by(_held(second), values, t.spot)
             stiffer.append(replace(plain[-1], p=np.concatenate([[p[0] + k], p[1:]])))
         return self._with(under.faults, self.engine, given=Given((tuple(plain), tuple(stiffer)), base, NOISY))
+
+    def _fast(self, under: Beneath) -> NonlinearAnswer | None:
+        """Friction in the stead of what holds a place fast at the quietest level; None where nothing does."""
+        wide = under.engines[0]
+        train = [mended(o, under.faults) for o in self.train]
+        usable = [mended(o, under.faults) for o in self.usable]
+        parts = parts_of(wide, train, (), usable, self.band) if _holds(wide) else None
+        if parts is None:
+            return None
+        runs = tuple(o.run for o in parts.train if o.run is not None)
+        i = quietest(runs)
+        point = base_point(wide, parts.train[i], self.scatter, self.band)
+        base = _without(self.engine, wide, calmed(wide, point, runs[i], self.scatter).x)
+        if base is None:
+            return None
+        own = base_point(self.engine, parts.train[i], self.scatter, self.band)
+        every = spots(self.engine, self.engine.site(self.places.nodes, self.places.elements, self.places.supports))
+        forms = held_fast(Bench(self.engine, own, runs, self.scatter, ()), base[0], _holds(wide), every)
+        if not forms:
+            return None
+        self.progress("seeking friction where something holds fast")
+        return self._with(under.faults, self.engine, given=Given(forms, base[0], NOISY))
 
     def _let_go(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
         """The law on the structure alone if each spring of the quietest level is a slider that holds there; None where
         there is no such spring.
         """
-        study, base = second.study, _without(self.engine, second.study, second.study.quiet.x)
+        study = second.study
+        base = _without(self.engine, study.engine, study.quiet.x)
         if base is None:
             return None
         forms = let_go(study, _held(second), base[1], self.scatter)
@@ -472,7 +499,12 @@ def _idle(second: NonlinearAnswer) -> bool:
 
 def _held(found: NonlinearAnswer) -> list[Term]:
     """The mechanisms in the structure on which a law was found."""
-    structure = found.study.engine.structure
+    return _holds(found.study.engine)
+
+
+def _holds(engine: Engine) -> list[Term]:
+    """The mechanisms in an engine's structure."""
+    structure = engine.structure
     return [a.term for a in structure.added] if isinstance(structure, ExtendedStructure) else []
 
 
@@ -483,12 +515,12 @@ def _twice(found: NonlinearAnswer | None) -> bool:
     return found is not None and any(_same_place(t.place, n.place) for t in _held(found) for n in found.named)
 
 
-def _without(engine: Engine, study: Study, x: NDArray) -> tuple[NDArray, NDArray] | None:
-    """The base vector of an engine from that of a study whose structure holds mechanisms besides, and the parameters of
+def _without(engine: Engine, wide: Engine, x: NDArray) -> tuple[NDArray, NDArray] | None:
+    """The base vector of an engine from that of one whose structure holds mechanisms besides, and the parameters of
     these; None where the two structures have other motions.
     """
-    n, more, there = engine.theta0.size, study.engine.theta0.size, study.engine.band_modes
-    if study.engine.basis.shape[0] != engine.basis.shape[0]:
+    n, more, there = engine.theta0.size, wide.theta0.size, wide.band_modes
+    if wide.basis.shape[0] != engine.basis.shape[0]:
         return None
     own = engine.band_modes
     _, at, where = np.intersect1d(own, there, return_indices=True)

@@ -100,7 +100,8 @@ def linearised_records(
 
     out = []
     for o in whole:
-        runs = hits_of(o) if o.kind == "hammer" else [stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)]
+        lead = int(o.frf.settings.get("lead", 0))
+        runs = hits_of(o) if o.kind == "hammer" else [stretch_of(o.recordings[0], 0, o.recordings[0].n_samples, lead)]
         some = [choose_lines(r, LINES, scatter.floor) for r in runs]
         joint = Joint(found.engine, found.point, runs, last.terms, scatter, some, whole=True)
         made = joint.receptances(last.x)
@@ -128,9 +129,9 @@ def linearised_records(
             time = np.fft.irfft(shares[0] * (n / 2), n, axis=1)
             data = np.vstack([np.fft.irfft(run.u * (n / 2), n)[None], time])
             channels = (recording.channels[recording.inputs[0]], *run.outputs)
-            simulated = local_frf(Recording(channels, data, run.rate, label=o.label))
-            same = round(n * recording.rate / run.rate)
-            measured = local_frf(replace(recording, data=recording.data[:, :same], breaks=()))
+            simulated = local_frf(Recording(channels, data, run.rate, label=o.label), lead=0)
+            same = round(n * recording.rate / run.rate) - lead
+            measured = local_frf(replace(recording, data=recording.data[:, :same], breaks=()), lead=lead)
             _, here, there = np.intersect1d(
                 np.round(measured.frequency, 6), np.round(simulated.frequency, 6), return_indices=True
             )

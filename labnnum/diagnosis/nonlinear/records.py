@@ -12,7 +12,9 @@ from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.hits import without_offset
+from labnnum.diagnosis.nonlinear.floor import floor_of
 from labnnum.diagnosis.nonlinear.moved import CHANCE, moved
+from labnnum.diagnosis.nonlinear.repeated import answers_apart
 from labnnum.diagnosis.nonlinear.run import Run, resampled
 from labnnum.recording import Recording
 
@@ -26,7 +28,8 @@ FORGOTTEN = 40.0
 SILENT = 1e-4
 """Power of the input, of its largest, below which a line counts as not excited."""
 FAINT = 1e-2
-"""The same of a hit, whose spectrum falls off slowly: what drives little above is simulated, not compared."""
+"""The same of a hit, whose spectrum falls off slowly, or of a sweep after a time of rest: what drives little is
+simulated, not compared."""
 HEARD = 4.0
 """Power of the input, of the quietest stretch of its spectrum, below which a line holds noise and no excitation, where
 that stretch is below `FAINT` of the loudest line: noise at 0.1 Hz would be a motion of metres."""
@@ -90,7 +93,7 @@ def hits_of(o: Observation) -> list[Run]:
                 continue
             x = without_offset(recording.data[:, a : a + n], recording.inputs[0])
             spectra = np.fft.rfft(x * np.exp(-decay * np.arange(n) / recording.rate), axis=1) * (2 / n)
-            out.append(_made(recording, spectra, n, decay, False, recording.label))
+            out.append(_made(recording, spectra, n, decay, False, recording.label, FAINT))
     return out
 
 
@@ -102,7 +105,8 @@ def _stretches(o: Observation, decay_time: float) -> tuple[list[Run], list[Run]]
     a, b = max(recording.spans(), key=lambda span: span[1] - span[0])
     half = (b - a) // 2
     if _sweeps(recording.data[recording.inputs[0], a:b]):
-        whole = stretch_of(recording, a, b)
+        lead = int(o.frf.settings.get("lead", 0))
+        whole = stretch_of(recording, a, b, lead)
         lines = np.flatnonzero(whole.inside)
         back = np.zeros(whole.u.size, bool)
         block = max(lines.size // 60, 1)
@@ -112,12 +116,16 @@ def _stretches(o: Observation, decay_time: float) -> tuple[list[Run], list[Run]]
     return [stretch_of(recording, a + half - n, a + half)], [stretch_of(recording, a + half, a + half + n)]
 
 
-def stretch_of(recording: Recording, start: int, stop: int) -> Run:
-    """The samples from `start` to `stop`, a few less where that makes the transform quick."""
-    n = _quick(stop - start)
-    x = recording.data[:, start : start + n]
-    x = x - np.average(x, axis=1, weights=np.hanning(n + 1)[:-1])[:, None]  # the plain mean holds waves cut off
-    return _made(recording, np.fft.rfft(x, axis=1) * (2 / n), n, 0.0, True, recording.label)
+def stretch_of(recording: Recording, start: int, stop: int, lead: int = 0) -> Run:
+    """The samples from `start` to `stop`, a few less where that makes the transform quick, after `lead` samples in
+    which nothing moves.
+    """
+    n = _quick(stop - start + lead)
+    x = recording.data[:, start : start + n - lead]
+    weights = np.hanning(n + 1)[lead:-1]
+    x = x - np.average(x, axis=1, weights=weights)[:, None]  # the plain mean holds waves cut off
+    x = np.pad(x, ((0, 0), (lead, 0)))
+    return _made(recording, np.fft.rfft(x, axis=1) * (2 / n), n, 0.0, True, recording.label, FAINT if lead else SILENT)
 
 
 def _quick(n: int) -> int:
@@ -139,7 +147,10 @@ def _sweeps(u: NDArray) -> bool:
     return bool(np.mean(left_out[on]) > 0.2)
 
 
-def _made(recording: Recording, spectra: NDArray, n: int, decay: float, ends: bool, label: str) -> Run:
+def _made(
+    recording: Recording, spectra: NDArray, n: int, decay: float, ends: bool, label: str, faint: float
+) -> Run:  # fmt: skip
+    """A run of spectra (n_channels, n_lines); lines count as driven above `faint` of the input's largest power."""
     i, outputs = recording.inputs[0], list(recording.outputs)
     u, y = spectra[i].copy(), spectra[outputs]
     lines = np.arange(u.size)
@@ -149,29 +160,22 @@ def _made(recording: Recording, spectra: NDArray, n: int, decay: float, ends: bo
     )  # fmt: skip
     wide = max(u.size // 400, 5)
     power = uniform_filter1d(np.abs(run.seen(u)) ** 2, wide, mode="nearest")
-    of_input = _floor(run.seen(spectra[i])[None])[0]
+    of_input = floor_of(run.seen(spectra[i])[None])[0]
     least = HEARD * of_input if of_input < FAINT * power.max() else 0.0
     at = np.flatnonzero(power > max(SILENT * power.max(), least))
-    driven = np.flatnonzero(power > max((FAINT if decay else SILENT) * power.max(), least))
+    driven = np.flatnonzero(power > max(faint * power.max(), least))
     on = np.zeros(u.size, bool)
     inside = (1, u.size - 1) if decay else (int(at[0]) + 1, int(at[-1]) - 1)  # with neighbours that the input holds too
-    on[max(int(driven[0]), inside[0]) : min(int(driven[-1]), inside[1]) + 1] = True
+    last = int(driven[-1] if decay else at[-1])  # what a window hides at a sweep's end drives it all the same
+    on[max(int(driven[0]), inside[0]) : min(last, inside[1]) + 1] = True
     u[int(at[-1]) + 1 :] = 0.0
     if ends:
         u[: int(at[0])] = 0.0  # noise alone, which a free structure would take far
     seen = run.seen(y)
     through = uniform_filter1d(np.abs(seen) ** 2, wide, axis=1, mode="nearest") / np.maximum(power, 1e-300)
-    noise = _floor(seen)[:, None] + np.where(on, through, 0.0) * of_input
+    noise = floor_of(seen)[:, None] + np.where(on, through, 0.0) * of_input
     level = float(np.sqrt(np.sum(np.abs(u) ** 2) / 2))
     return resampled(replace(run, noise=noise, excited=on, level=level))
-
-
-def _floor(spectra: NDArray) -> NDArray[np.float64]:
-    """Power per line of the quietest stretch of each spectrum (rows, n_lines), taken as that of white noise."""
-    block = max(spectra.shape[1] // 40, 16)
-    n = spectra.shape[1] // block * block
-    power = np.abs(spectra[:, :n]) ** 2
-    return np.median(power.reshape(spectra.shape[0], -1, block), axis=2).min(axis=1) / np.log(2)
 
 
 # -------------------------------------------------------------------- signs
@@ -210,6 +214,8 @@ def _differ(low: Observation, high: Observation) -> bool:
     if low.kind == "hammer" or high.kind == "hammer":
         return False  # hits differ in where they fall: their FRFs change in modes even where nothing does
     if np.count_nonzero(_louder(one.variance[:, 0, i], other.variance[:, 0, j])) >= need:
+        return True
+    if answers_apart(low.recordings[0], high.recordings[0], need):
         return True
     return bool(np.sort(moved(one.frequency[i], a, b, variance))[need - 1] < need * CHANCE / sure.size)
 

@@ -109,21 +109,21 @@ def let_go(study: Study, held: Sequence[Term], values: NDArray, scatter: Scatter
     for term in held:
         own = values[at : at + term.n]
         at += term.n
-        spot = _spot_of(term, [q.spot for q in study.recovered])
-        if spot is None or own.size != 1 or own[0] <= 0:
+        spot = spot_along(term, [q.spot for q in study.recovered])
+        if spot is None or own.size != 1 or own[0] <= 0 or not isinstance(term.sought.groups[0].law, Spring):
             continue
         q = recover(bench.joint([]), study.quiet.x, study.point, spot)
-        motion = float(np.std(q.z[high]))
+        motion, k = float(np.std(q.z[high])), own[0] * unit_of(term, spot)
         for part in LET_GO:
             p = np.zeros(N_P)
-            p[:2] = own[0], part * own[0] * motion
+            p[:2] = k, part * k * motion
             out.append((Lead(spot, "stick-slip", p, q.gain),))
     return tuple(out)
 
 
-def _spot_of(term: Term, spots: Sequence[Spot]) -> Spot | None:
-    """The spot whose motion a spring holds; None for what is no spring between two points or to the ground."""
-    if len(term.sought.groups) != 1 or not isinstance(term.sought.groups[0].law, Spring):
+def spot_along(term: Term, spots: Sequence[Spot]) -> Spot | None:
+    """The spot whose motion a term acts on; None where it acts on several, or on no such motion."""
+    if len(term.sought.groups) != 1 or term.sought.groups[0].columns.shape[1] != 1:
         return None
     column = term.sought.groups[0].columns[:, 0]
     for s in spots:
@@ -131,6 +131,31 @@ def _spot_of(term: Term, spots: Sequence[Spot]) -> Spot | None:
         if s.column.shape == column.shape and abs(s.column @ column) > 0.99 * size:
             return s
     return None
+
+
+def held_by(held: Sequence[Term], values: NDArray, spot: Spot) -> float:
+    """Stiffness with which what a structure holds holds the motion of a spot, N/m or N m/rad.
+
+    Parameters
+    ----------
+    values : ndarray
+        Parameters of all of it, one after the other.
+    """
+    k, at = 0.0, 0
+    for term in held:
+        own = values[at : at + term.n]
+        at += term.n
+        if own.size == 1 and spot_along(term, [spot]) is not None and isinstance(term.sought.groups[0].law, Spring):
+            k += own[0] * unit_of(term, spot)
+    return float(k)
+
+
+def unit_of(term: Term, spot: Spot) -> float:
+    """Stiffness along the spot's motion that a unit of the term's parameter is, N/m or N m/rad: of a change of an
+    element that is relative, the element's own.
+    """
+    columns = term.sought.groups[0].columns[:, 0]
+    return float((columns @ columns) / (spot.column @ spot.column))
 
 
 def _left(bench: Bench, x: NDArray, q: Recovered, k: float, limit: float) -> float:
