@@ -68,9 +68,13 @@ class Case:
 
 
 def _held(fault: Fault) -> Fault:
-    """A slider that never slips: a spring at its place."""
-    spring = "ground-stiffness" if fault.place["kind"] == "ground" else "joint-stiffness"
-    return replace(fault, accept=(*fault.accept, (spring, fault.place)))
+    """A slider that never slips: a spring at its place, or at one that moves alike."""
+    springs = tuple((_spring_at(place), place) for place in (fault.place, *fault.places))
+    return replace(fault, accept=(*fault.accept, *springs))
+
+
+def _spring_at(place: dict[str, Any]) -> str:
+    return "ground-stiffness" if place["kind"] == "ground" else "joint-stiffness"
 
 
 def streams(seed: int, kind: str) -> list[Generator]:
