@@ -20,9 +20,11 @@ from labnnum.diagnosis.verdict import Limits
 
 def linear_least(runs: Sequence[Run], scatter: Scatter) -> float:
     """Chi-square per value that no linear model of any kind can fall below: what the best FRF of all runs together
-    leaves, line by line, and all that stands on lines that were not excited.
+    leaves, line by line, and all that stands on lines that were not excited; where few lines differ from level to
+    level, on these.
 
-    Zero for runs whose spectra are not those of one period, where an FRF of single lines says nothing.
+    Zero for runs whose spectra are not those of one period, where an FRF of single lines says nothing, unless their
+    inputs are one signal at several levels: whatever leaks then does so in proportion.
     """
     return _least([(r, r.y) for r in runs], scatter)
 
@@ -31,19 +33,38 @@ def _least(parts: Sequence[tuple[Run, NDArray]], scatter: Scatter) -> float:
     """The same of runs with the spectra (n_out, n_lines) that are to be explained, weighed as measured."""
     runs = [r for r, _ in parts]
     groups = {r.key for r in runs}
-    if len(runs) < 2 or len(groups) > 1 or not all(r.lasting for r in runs):
+    if len(runs) < 2 or len(groups) > 1 or not (all(r.lasting for r in runs) or one_signal(runs)):
         return 0.0
     lines = [choose_lines(r, 0, scatter.floor) for r in runs]
-    at = lines[0].at
-    if any(not np.array_equal(a.at, at) for a in lines):
+    at = reduce(np.intersect1d, [a.at for a in lines])
+    if runs[0].telling is not None:
+        at = at[runs[0].telling[at]]
+    if at.size < 8 or not (runs[0].open or all(np.array_equal(a.at, at) for a in lines)):
         return 0.0
-    u = np.array([np.where(r.excited[at], r.u[at], 0.0) for r in runs])[:, None]
-    y = np.array([spectra[:, at] for _, spectra in parts])
-    w = np.array([1.0 / a.sigma**2 for a in lines])
+    u = np.array([np.where(r.excited[at], r.seen(r.u)[at], 0.0) for r in runs])[:, None]
+    y = np.array([r.seen(spectra)[:, at] for r, spectra in parts])
+    w = np.array([1.0 / a.sigma[:, np.searchsorted(a.at, at)] ** 2 for a in lines])
     power = np.sum(w * np.abs(u) ** 2, axis=0)
     h = np.where(power > 0, np.sum(w * np.conj(u) * y, axis=0) / np.maximum(power, 1e-300), 0.0)
     left = float(np.sum(w * np.abs(y - h * u) ** 2))
     return left / max(y.size - np.count_nonzero(power), 1)
+
+
+ALIKE = 1e-4
+"""Power of what an input has of another signal than the loudest one, of its own, up to which they are one."""
+
+
+def one_signal(runs: Sequence[Run]) -> bool:
+    """Whether stretches of noise or sweeps, of one length, hold one signal at several levels."""
+    if len({r.key for r in runs}) > 1 or not all(r.open for r in runs):
+        return False
+    loud = max(runs, key=lambda r: r.level).u
+    power = np.vdot(loud, loud).real
+
+    def other(u: NDArray) -> float:
+        return 1.0 - abs(np.vdot(loud, u)) ** 2 / (power * np.vdot(u, u).real)
+
+    return max(other(r.u) for r in runs) < ALIKE
 
 
 def frf_least(observations: Sequence[Observation], scatter: Scatter) -> tuple[float, float]:
@@ -72,7 +93,7 @@ def hopeless(found: NonlinearAnswer, observations: Sequence[Observation], scatte
     what the base leaves that no linear name could improve the prediction enough.
     """
     runs, base = found.study.runs, found.study.base
-    if all(r.lasting for r in runs):
+    if all(r.lasting for r in runs) or one_signal(runs):
         left = found.misfit if found.gained else limits.improve**2 * base.data_part / base.count
         return linear_least(runs, scatter) > max(limits.misfit, left)
     chi, relative = frf_least(observations, scatter)

@@ -168,7 +168,8 @@ def decide(
     most = MOST_IDENTIFIED if identified else MOST
     if not reason and len({(t.name, t.spot.place) for t in laws if t.name in MECHANISMS}) > most:
         reason = f"it takes more than {NUMBERS[most]} named laws, which may stand for one that has no name"
-    if max(base_error) < scatter.floor:
+    all_of_it = base.data_part > limits.misfit * base.count and misfit < limits.unsettled
+    if max(base_error) < scatter.floor and not all_of_it:
         reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
     names = () if reason else _all_named(found, laws, rivals, scatter)
     place = best.spot.place

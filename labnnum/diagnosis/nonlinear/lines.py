@@ -49,7 +49,8 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
     """Lines between the first and the last that is excited, `most` of them (0: all), with their deviation.
 
     `PERIODIC` times as many of periodic runs, `OPEN` times as many of noise and sweeps, unless the base is known to
-    miss more than noise (`ROUGH`).
+    miss more than noise (`ROUGH`). Half of them are lines that show distortion alone, or a difference between levels,
+    where few of all do.
     """
     inside = np.flatnonzero(run.compared)
     size = np.abs(run.seen(run.y))
@@ -74,6 +75,8 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
     if most and inside.size > most:
         rng = np.random.default_rng(inside.size)
         on, off = inside[run.excited[inside]], inside[~run.excited[inside]]
+        if run.telling is not None:
+            on, off = inside[~run.telling[inside]], inside[run.telling[inside]]
         n_on = min(on.size, max(most // 2, most - off.size))
         pick = [np.sort(rng.choice(a, min(n, a.size), replace=False)) for a, n in ((on, n_on), (off, most - n_on))]
         inside = np.sort(np.concatenate(pick))

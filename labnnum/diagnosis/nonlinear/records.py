@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 from labnnum.diagnosis.hits import without_offset
 from labnnum.diagnosis.nonlinear.floor import floor_of
 from labnnum.diagnosis.nonlinear.moved import CHANCE, moved
-from labnnum.diagnosis.nonlinear.repeated import answers_apart
+from labnnum.diagnosis.nonlinear.repeated import AROUND, Difference, answers_apart, difference
 from labnnum.diagnosis.nonlinear.run import Run, resampled
 from labnnum.recording import Recording
 
@@ -35,6 +35,10 @@ HEARD = 4.0
 that stretch is below `FAINT` of the loudest line: noise at 0.1 Hz would be a motion of metres."""
 SAME = 0.02
 """Power of one half of a record, of that of the other, below which a line was left out: the record sweeps."""
+RARE = 0.25
+"""Part of the lines that differ from level to level below which they are few, and would be missed by chance."""
+LEVELS = 1.3
+"""Ratio of two levels above which they are two."""
 HITS = 1
 """Hits of a level that are fitted, at most."""
 
@@ -59,10 +63,10 @@ def split(observations: Sequence[Observation], decay_time: float) -> Split:
     train: list[Observation] = []
     test: list[Observation] = []
     whole: list[Observation] = []
-    for o in observations:
-        if not _fit_for_it(o):
-            continue
-        own, held = _hits(o) if o.kind == "hammer" else _stretches(o, decay_time)
+    usable = [o for o in observations if _fit_for_it(o)]
+    apart = _apart(usable)
+    for o in usable:
+        own, held = _hits(o) if o.kind == "hammer" else _stretches(o, decay_time, apart)
         train += [replace(o, run=r, level=r.level) for r in own]
         test += [replace(o, run=r, level=r.level) for r in held]
         whole.append(o)
@@ -100,7 +104,17 @@ def hits_of(o: Observation) -> list[Run]:
 # -------------------------------------------------------------------- noise and sweeps
 
 
-def _stretches(o: Observation, decay_time: float) -> tuple[list[Run], list[Run]]:
+def _apart(observations: Sequence[Observation]) -> Difference | None:
+    """What sweeps of the lowest and the highest level differ by; None where they are no sweeps of one signal."""
+    known = sorted((o for o in observations if o.kind != "hammer" and np.isfinite(o.level)), key=lambda o: o.level)
+    if len(known) < 2 or known[-1].level < LEVELS * known[0].level:
+        return None
+    return difference(known[0].recordings[0], known[-1].recordings[0])
+
+
+def _stretches(
+    o: Observation, decay_time: float, apart: Difference | None = None
+) -> tuple[list[Run], list[Run]]:  # fmt: skip
     recording = o.recordings[0]
     a, b = max(recording.spans(), key=lambda span: span[1] - span[0])
     half = (b - a) // 2
@@ -110,6 +124,9 @@ def _stretches(o: Observation, decay_time: float) -> tuple[list[Run], list[Run]]
         lines = np.flatnonzero(whole.inside)
         back = np.zeros(whole.u.size, bool)
         block = max(lines.size // 60, 1)
+        telling = np.zeros(whole.u.size, bool) if apart is None else apart.telling(whole.frequency) & whole.inside
+        if telling.any() and np.count_nonzero(telling) < RARE * lines.size:
+            whole, block = replace(whole, telling=telling), min(block, AROUND)  # some of them are to be held out
         back[lines] = (np.arange(lines.size) // block) % 4 == 2
         return [replace(whole, use=~back)], [replace(whole, use=back)]
     n = min(STRETCH, half, int(FORGOTTEN * decay_time * recording.rate))
@@ -193,7 +210,7 @@ def changed(observations: Sequence[Observation]) -> bool:
     known = [o for o in observations if _fit_for_it(o) and np.isfinite(o.level)]
     for kind in {o.kind for o in known}:
         same = sorted((o for o in known if o.kind == kind), key=lambda o: o.level)
-        if len(same) > 1 and same[-1].level > 1.3 * same[0].level and _differ(same[0], same[-1]):
+        if len(same) > 1 and same[-1].level > LEVELS * same[0].level and _differ(same[0], same[-1]):
             return True
     return False
 

@@ -54,6 +54,8 @@ class Run:
     open: bool = False
     use: NDArray[np.bool_] | None = None
     """Lines that may be compared, where they are fewer than those inside."""
+    telling: NDArray[np.bool_] | None = None
+    """Lines on which the response is known to differ from level to level, where they are few."""
     miss: float = 0.0
     """What the base model is known to miss, RMS over all lines of a response, relative."""
 
@@ -194,6 +196,7 @@ def resampled(run: Run) -> Run:
     return replace(
         run, rate=run.rate * n / run.period, period=n, u=run.u[keep], y=run.y[:, keep], noise=run.noise[:, keep],
         excited=run.excited[keep], use=None if run.use is None else run.use[keep],
+        telling=None if run.telling is None else run.telling[keep],
     )  # fmt: skip
 
 

@@ -357,10 +357,17 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     done = [sure if t is best else t for t in done]
     ratio = sure.made.count / shown[0].made.count
     rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
+    near = sorted((t for t in rest if t.simulated and t.cost < BESIDE * sure.cost), key=lambda t: t.cost)
+    for t in near[:most] if ratio > 1 else ():  # raised costs are not sure enough to tell these
+        one = bench.carry_on(t, 4, last=fine(t))
+        done.append(one)
+        rest = [o for o in rest if not one.same(o)]
     ahead = sorted([*done, *(t for t in rest if t.simulated)], key=lambda t: t.cost)
     return [ahead[0], *sorted([*ahead[1:], *(t for t in rest if not t.simulated)], key=lambda t: t.cost)]
 
 
+BESIDE = 1.01
+"""Cost, of the best one's on more lines, below which another that was raised to as many is fitted on them too."""
 HALVED, MOVED = 2, 0.01
 """How often the steps of the best law's march are halved at most, and the change of what it leaves, of that, from which
 it is worth another fit."""
