@@ -94,11 +94,14 @@ def test_lines_that_tell_are_compared_and_held_out():
     observations = observe_all(swept([Element("quadratic", joint_23(), (K2,))]))
     parts = split(observations, decay_time=1.0)
     for o in (*parts.train, *parts.test):
+        assert o.run is not None
+        assert o.run.telling is not None
         telling = o.run.telling & o.run.compared
         assert np.count_nonzero(telling) > 10
         at = choose_lines(o.run, 20).at
         assert np.count_nonzero(telling[at]) >= min(np.count_nonzero(telling), at.size // 2) - 2  # at the ends
-    assert all(o.run.telling is None for o in split(observe_all(swept([])), decay_time=1.0).train)
+    plain = split(observe_all(swept([])), decay_time=1.0)
+    assert all(o.run is not None and o.run.telling is None for o in plain.train)
 
 
 def test_one_signal_at_two_levels_bounds_every_linear_model():

@@ -62,7 +62,7 @@ def one_signal(runs: Sequence[Run]) -> bool:
     power = np.vdot(loud, loud).real
 
     def other(u: NDArray) -> float:
-        return 1.0 - abs(np.vdot(loud, u)) ** 2 / (power * np.vdot(u, u).real)
+        return 1.0 - float(abs(np.vdot(loud, u)) ** 2 / (power * np.vdot(u, u).real))
 
     return max(other(r.u) for r in runs) < ALIKE
 

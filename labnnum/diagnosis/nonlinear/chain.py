@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit
 from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
 from labnnum.diagnosis.nonlinear.effort import tired
+from labnnum.diagnosis.nonlinear.elsewhere import as_well
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, STRAINED, looked, nearest
 from labnnum.diagnosis.nonlinear.further import GAIN, further, needed
@@ -130,8 +131,9 @@ def chain(
 
 
 def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
-    """The winning law at the spots that explain the distortion next best, and at mirror images of its own; where it
-    leaves far more than noise, also where the distortion comes from as the winner's base recovers it.
+    """The winning law at the spots that explain the distortion next best, at mirror images of its own, and where its
+    force would do better; where it leaves far more than noise, also where the distortion comes from as the winner's
+    base recovers it.
     """
     best = found.best
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
@@ -141,6 +143,11 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     near = [s for s in near if not any(s.place == o.place for o in alike)]
     made = at_places(found, best, [*alike, *near][:3], scatter)
     have |= {(s.place, s.axis) for s in [*alike, *near][:3]}
+    if best.named and best.simulated and best.made.data_part < UNSURE * best.made.count:
+        leads = as_well(found, best, every, scatter)
+        leads = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in have][:ELSEWHERE]
+        made += at_places(found, best, leads, scatter) if leads else []
+        have |= {(q.spot.place, q.spot.axis) for q in leads}
     reached = min([best, *made], key=lambda t: t.cost)
     if reached.named and reached.simulated and reached.made.prior_part > STRAINED * reached.made.n_base and not tired():
         made += _unbent(found, reached, scatter)
@@ -169,7 +176,7 @@ def _unbent(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
 
 
 ELSEWHERE = 3
-"""Spots at which a law is tried for which the base bends far."""
+"""Spots at which a law is tried for which the base bends far, or whose force would do better there."""
 
 
 def twins(found: Study, spot: Spot, every: Sequence[Spot]) -> list[Spot]:

@@ -290,8 +290,10 @@ def _general(bench: Bench, best: Tried, leads: Sequence[Lead]) -> Tried | None:
     return next((t for t in done if t is not None), None)
 
 
-def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter, lines: int = LINES) -> list[Tried]:
-    """The winning law at other spots: followed, and simulated where that comes near.
+def at_places(
+    study: Study, best: Tried, spots: Sequence[Spot | Lead], scatter: Scatter, lines: int = LINES
+) -> list[Tried]:  # fmt: skip
+    """The winning law at other spots, or with other parameters: followed, and simulated where that comes near.
 
     Where the winner leaves more than noise, so does the motion that is recovered through its base: what does not come
     near along it is then simulated as the winner stands.
@@ -301,7 +303,7 @@ def at_places(study: Study, best: Tried, spots: Sequence[Spot], scatter: Scatter
     unsure = best.simulated and best.named and best.made.data_part > UNSURE * best.made.count
     out: list[Tried] = []
     for s in spots:
-        lead = replace(of_fit(best), spot=s)
+        lead = replace(of_fit(best), spot=s) if isinstance(s, Spot) else s
         one = bench.follow(x, lead, LONG)
         if one is not None and one.cost < CLOSE * best.cost:
             one = in_step(bench, one, LONG)
