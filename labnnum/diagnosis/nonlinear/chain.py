@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.elsewhere import as_well
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, STRAINED, looked, nearest
 from labnnum.diagnosis.nonlinear.further import GAIN, further, needed
-from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 from labnnum.diagnosis.nonlinear.loosen import in_step
 from labnnum.diagnosis.nonlinear.study import FINE, UNSURE, at_places
 from labnnum.diagnosis.observe import Observation
@@ -131,9 +131,9 @@ def chain(
 
 
 def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
-    """The winning law at the spots that explain the distortion next best, at mirror images of its own, and where its
-    force would do better; where it leaves far more than noise, also where the distortion comes from as the winner's
-    base recovers it.
+    """The winning law at mirror images of its own spot, and where its force would do nearly as well, or better; where
+    it leaves far more than noise, at the spots that explain the distortion next best, and where the distortion comes
+    from as the winner's base recovers it.
     """
     best = found.best
     have = {(t.spot.place, t.spot.axis) for t in found.tried if t.mechanism == best.mechanism}
@@ -141,13 +141,13 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
     alike = [s for s in twins(found, best.spot, every) if (s.place, s.axis) not in have]
     near = [s for s in near if not any(s.place == o.place for o in alike)]
-    made = at_places(found, best, [*alike, *near][:3], scatter)
-    have |= {(s.place, s.axis) for s in [*alike, *near][:3]}
+    some: list[Spot | Lead] = [*alike, *near][:3]
     if best.named and best.simulated and best.made.data_part < UNSURE * best.made.count:
-        leads = as_well(found, best, every, scatter)
-        leads = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in have][:ELSEWHERE]
-        made += at_places(found, best, leads, scatter) if leads else []
-        have |= {(q.spot.place, q.spot.axis) for q in leads}
+        leads = [q for gain, q in as_well(found, best, every, scatter) if gain > RIVAL]
+        leads = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in have]
+        some = [*alike, *(q for q in leads if not any(q.spot.place == o.place for o in alike))][:ASKED]
+    made = at_places(found, best, some, scatter)
+    have |= {((s if isinstance(s, Spot) else s.spot).place, (s if isinstance(s, Spot) else s.spot).axis) for s in some}
     reached = min([best, *made], key=lambda t: t.cost)
     if reached.named and reached.simulated and reached.made.prior_part > STRAINED * reached.made.n_base and not tired():
         made += _unbent(found, reached, scatter)
@@ -176,7 +176,7 @@ def _unbent(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
 
 
 ELSEWHERE = 3
-"""Spots at which a law is tried for which the base bends far, or whose force would do better there."""
+"""Spots at which a law is tried for which the base bends far."""
 
 
 def twins(found: Study, spot: Spot, every: Sequence[Spot]) -> list[Spot]:
@@ -198,6 +198,8 @@ TWIN, MOST = 0.99, 2
 """Correlation of the motions' sizes over the modes from which on a spot is another one's mirror image; and how many of
 these are tried."""
 
+ASKED = 4
+"""Spots at which a law that leaves little is tried: mirror images of its own, and by what its force does there."""
 ANEW = 2
 """Spots at which a law that leaves far more than noise is tried, as its own base recovers the force."""
 

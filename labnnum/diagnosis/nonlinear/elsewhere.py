@@ -15,10 +15,15 @@ from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.mechanisms.base import ROTATIONS
+
+MOTIONLESS = 100.0
+"""Size of a force, of the least at a spot of that kind, from which on the spot hardly moves where others do."""
 
 
-def as_well(found: Study, best: Tried, every: Sequence[Spot], scatter: Scatter) -> list[Lead]:
-    """The law at the spots where its force removes more of chi-square than where it was found, most first.
+def as_well(found: Study, best: Tried, every: Sequence[Spot], scatter: Scatter) -> list[tuple[float, Lead]]:
+    """What the force of a law removes of chi-square at every other spot, of what it does where the law was found, and
+    the law there; most first.
 
     The force is that which the law's own motion makes; its size at a spot is free, and so are the base, from the
     quietest level's, and its ordinary errors. Where one mode makes the force, any place that moves in that mode has the
@@ -32,9 +37,15 @@ def as_well(found: Study, best: Tried, every: Sequence[Spot], scatter: Scatter) 
     own = replace(best.spot, axis=best.spot.axis.lstrip("-"))
     others = [s for s in every if (s.place, s.axis) != (own.place, own.axis)]
     made = [_removed(background, c) for c in _answers(plain, x, best, [own, *others])]
-    least = made[0][0]
-    ahead = sorted((i for i in range(1, len(made)) if made[i][0] > least), key=lambda i: -made[i][0])
-    return [moved_to(of_fit(best), others[i - 1], made[i][1]) for i in ahead]
+    lead, least = of_fit(best), max(made[0][0], 1e-300)
+    turns = [s.axis in ROTATIONS for s in others]
+    sizes = {kind: min(abs(m[1]) for m, t in zip(made[1:], turns, strict=True) if t == kind) for kind in set(turns)}
+    out = [
+        (gain / least, moved_to(lead, s, size))
+        for (gain, size), s, kind in zip(made[1:], others, turns, strict=True)
+        if abs(size) < MOTIONLESS * sizes[kind]
+    ]
+    return sorted(out, key=lambda row: -row[0])
 
 
 def moved_to(lead: Lead, spot: Spot, size: float) -> Lead:
@@ -53,7 +64,7 @@ def _removed(background: Background, column: NDArray) -> tuple[float, float]:
     """What a column (n_out, N) removes of chi-square, and its size."""
     gram, along = background.moments(column[None])
     if gram[0, 0] <= 1e-9 * float(np.sum(column * column)):
-        return 0.0, 1.0
+        return 0.0, np.inf
     return float(along[0] ** 2 / gram[0, 0]), float(along[0] / gram[0, 0])
 
 
