@@ -141,7 +141,7 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     near = [q.spot for q in found.recovered if (q.spot.place, q.spot.axis) not in have and q.gain > RIVAL * own]
     alike = [s for s in twins(found, best.spot, every) if (s.place, s.axis) not in have]
     near = [s for s in near if not any(s.place == o.place for o in alike)]
-    some: list[Spot | Lead] = [*alike, *near][:3]
+    some: Sequence[Spot | Lead] = [*alike, *near][:3]
     if best.named and best.simulated and best.made.data_part < UNSURE * best.made.count:
         leads = [q for gain, q in as_well(found, best, every, scatter) if gain > RIVAL]
         leads = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in have]
