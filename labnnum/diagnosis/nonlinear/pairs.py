@@ -37,6 +37,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.diagnosis.nonlinear.study import FINE
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.mechanisms.base import Place
 
 SPARE = 1
 """Sensors beyond two forces from which on the forces alone tell the places."""
@@ -69,6 +70,10 @@ ENOUGH = 1.3
 CLOSE, SIMULATED = 3.0, 3
 """Cost, of the least, below which a pair is told from the best on more lines, and how many are."""
 
+QUICK, KIN = 1.0, 4
+"""Nominal seconds of a fit on more lines below which all last fits have fine steps, and other laws at the best pair's
+places, so many at most, are followed as far.
+"""
 BENT, INSTEAD = 4.0, 3
 """Price of the base beside the best pair, of its entries, above which it stands in for what the pair has wrong,
 and pairs that are then followed as far."""
@@ -199,15 +204,21 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
     Of two laws of which one can be spared the other is left; what is missed most comes first.
     """
     bench = seen.bench.on(FINE)
-    near = [t for t in pairs if t.cost < CLOSE * pairs[0].cost][: 1 if tired() else SIMULATED]
+    close = [t for t in pairs if t.cost < CLOSE * pairs[0].cost]
+    near = close[: 1 if tired() else SIMULATED]
+    before = spent()
     coarse = sorted((bench.carry_on(t, LONG, last=False) for t in near), key=lambda t: t.cost)
-    finer = [bench.carry_on(t, LONG, last=not tired()) for t in coarse if t.cost < CLOSE * coarse[0].cost]
+    brief = spent() - before < QUICK * len(near)
+    finer = [bench.carry_on(t, LONG, last=brief or not tired()) for t in coarse if t.cost < CLOSE * coarse[0].cost]
+    if brief:  # coarse steps leave most of what smooth laws' harmonics do
+        kin = [t for t in close if _there(t) == _there(finer[0]) and not any(t.same(o) for o in coarse)]
+        finer += [bench.carry_on(bench.carry_on(t, LONG, last=False), LONG, last=True) for t in kin[:KIN]]
     finer.sort(key=lambda t: t.cost)
     if finer[0].made.prior_part > BENT * finer[0].made.n_base and not tired():
         others = [t for t in pairs if not any(t.same(o) for o in finer)][:INSTEAD]
         finer += [bench.carry_on(bench.carry_on(t, LONG, last=True), LONG, last=True) for t in others]
         finer.sort(key=lambda t: t.cost)
-    best = bench.carry_on(finer[0], 4, always=True, last=not tired())
+    best = bench.carry_on(finer[0], 4, always=True, last=brief or not tired())
     tried = (best, *finer[1:])
     plain = bench.joint([])
     base = fit(plain, seen.base.x, [None] * len(bench.runs), steps=6)
@@ -217,6 +228,11 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
     if len(laws) == 1:
         study = replace(study, tried=(laws[0], *tried[1:]))
     return study, laws
+
+
+def _there(t: Tried) -> frozenset[Place]:
+    """The places of its laws."""
+    return frozenset(lead.spot.place for lead in (t.lead, *t.more))
 
 
 # -------------------------------------------------------------------- places
