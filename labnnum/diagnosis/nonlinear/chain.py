@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit
 from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
-from labnnum.diagnosis.nonlinear.effort import tired
+from labnnum.diagnosis.nonlinear.effort import spent, tired
 from labnnum.diagnosis.nonlinear.elsewhere import as_well
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, STRAINED, looked, nearest
@@ -146,13 +146,15 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
         leads = [q for gain, q in as_well(found, best, every, scatter) if gain > RIVAL]
         leads = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in have]
         some = [*alike, *(q for q in leads if not any(q.spot.place == o.place for o in alike))][:ASKED]
+    before = spent()
     made = at_places(found, best, some, scatter)
+    weary = tired() and (not some or spent() - before > QUICK * len(some))
     have |= {((s if isinstance(s, Spot) else s.spot).place, (s if isinstance(s, Spot) else s.spot).axis) for s in some}
     reached = min([best, *made], key=lambda t: t.cost)
-    if reached.named and reached.simulated and reached.made.prior_part > STRAINED * reached.made.n_base and not tired():
+    if reached.named and reached.simulated and reached.made.prior_part > STRAINED * reached.made.n_base and not weary:
         made += _unbent(found, reached, scatter)
         reached = min([best, *made], key=lambda t: t.cost)
-    if not (reached.simulated and reached.named) or reached.made.data_part < UNSURE * reached.made.count or tired():
+    if not (reached.simulated and reached.named) or reached.made.data_part < UNSURE * reached.made.count or weary:
         return made
     plain = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES).joint([])
     again, _ = looked(plain, reached.made.x, every)
@@ -198,6 +200,8 @@ TWIN, MOST = 0.99, 2
 """Correlation of the motions' sizes over the modes from which on a spot is another one's mirror image; and how many of
 these are tried."""
 
+QUICK = 1.0
+"""Nominal seconds that a law at another spot takes below which more are tried even after a long search."""
 ASKED = 4
 """Spots at which a law that leaves little is tried: mirror images of its own, and by what its force does there."""
 ANEW = 2

@@ -35,7 +35,7 @@ from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, per_place
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
-from labnnum.diagnosis.nonlinear.study import FINE
+from labnnum.diagnosis.nonlinear.study import FINE, UNSURE
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.mechanisms.base import Place
 
@@ -213,6 +213,8 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
     if brief:  # coarse steps leave most of what smooth laws' harmonics do
         kin = [t for t in close if _there(t) == _there(finer[0]) and not any(t.same(o) for o in coarse)]
         finer += [bench.carry_on(bench.carry_on(t, LONG, last=False), LONG, last=True) for t in kin[:KIN]]
+        finer.sort(key=lambda t: t.cost)
+        finer[0] = _from_calm(bench, seen.calm.x, finer[0])
     finer.sort(key=lambda t: t.cost)
     if finer[0].made.prior_part > BENT * finer[0].made.n_base and not tired():
         others = [t for t in pairs if not any(t.same(o) for o in finer)][:INSTEAD]
@@ -228,6 +230,36 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
     if len(laws) == 1:
         study = replace(study, tried=(laws[0], *tried[1:]))
     return study, laws
+
+
+AGAIN, BEGINNING = (0.75, 0.87, 1.15, 1.35), 6
+"""What parameters of a pair that leaves much are multiplied by, one after the other, and steps of a fit from there;"""
+FALLS = 0.5
+"""part of what the pair leaves below which one of these has found another valley."""
+
+
+def _from_calm(bench: Bench, calm: NDArray, pair: Tried) -> Tried:
+    """Two laws that leave far more than noise fitted again from the base of the quietest level, each with its gap or
+    its limit, or else its strength, larger and smaller; what they were where that finds nothing better.
+
+    A strong law may hold a steady state that the structure was not in, and the base with it: next to the right
+    parameters such a fit stays where it is.
+    """
+    if pair.made.data_part < UNSURE * pair.made.count:
+        return pair
+    own = of_fits(pair)
+    forms = [own]
+    for i, lead in enumerate(own):
+        at = 1 if SHAPES[lead.mechanism].inner else 0
+        for by in AGAIN:
+            p = lead.p.copy()
+            p[at] *= by
+            forms.append([replace(lead, p=p) if j == i else one for j, one in enumerate(own)])
+    begun = [bench.both(calm[: pair.made.bare], two, BEGINNING) for two in forms]
+    near = min((t for t in begun if t is not None), key=lambda t: t.cost, default=None)
+    if near is None or near.cost > FALLS * pair.cost:
+        return pair
+    return bench.carry_on(bench.carry_on(near, LONG, last=False), LONG, last=True)
 
 
 def _there(t: Tried) -> frozenset[Place]:
