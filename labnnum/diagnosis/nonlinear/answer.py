@@ -28,6 +28,7 @@ from labnnum.diagnosis.nonlinear.effort import counted, tired
 from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.fast import fast_kin
 from labnnum.diagnosis.nonlinear.fitting import Made
+from labnnum.diagnosis.nonlinear.further import needed
 from labnnum.diagnosis.nonlinear.joined import joined, records, with_friction
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
@@ -287,7 +288,7 @@ class _Search:
             return None
         found, laws = done
         if not self.identified and not tired():
-            found = replace(found, company=beside_others(found, laws, self.scatter))
+            found, laws = self._in_company(found, laws)
         more = records(self.others, self.span, self.runs[0].miss) if self.nearly and not self.whole else []
         if more:
             self.progress("fitting records that are not periodic")
@@ -300,6 +301,25 @@ class _Search:
             found, laws, self.train, self.test, self.scatter, self.limits, self.whole, self.nearly or NEARLY,
             self.timed, self.equal,
         )  # fmt: skip
+
+    def _in_company(self, found: Study, laws: list[Tried]) -> _Found:
+        """The laws, the first of them exchanged for a rival that leaves far less beside the others than it does, and
+        the rivals that were asked beside them: which is the first alone may be the others' doing.
+        """
+        for _ in range(EXCHANGED):
+            found = replace(found, company=beside_others(found, laws, self.scatter))
+            best = min(found.company, key=lambda t: t.cost / t.made.count, default=None)
+            last = laws[-1]
+            if best is None or best.cost * last.made.count > EXCHANGE * last.cost * best.made.count:
+                break
+            chain = [Tried(lead, best.made, best.cost) for lead in (best.lead, *best.more)]
+            made = needed(found, chain, self.scatter, self.limits.further)
+            if made[-1].cost * last.made.count > EXCHANGE * last.cost * made[-1].made.count:
+                break
+            first = [t for t in found.tried if t.name == best.name and t.spot.place == best.spot.place]
+            laws = made
+            found = replace(found, tried=(*first, *(t for t in found.tried if all(t is not o for o in first))))
+        return found, laws
 
     def carried(self, found: NonlinearAnswer, timed: Sequence[Timed]) -> NonlinearAnswer | None:
         """The laws of another answer fitted on to this search's runs, which are its runs by another filter."""
@@ -320,6 +340,10 @@ class _Search:
             return None
         every = linearised(done[0], made.laws[-1].made, made.orbits, believed, self.scatter, channel, n)
         return replace(made, lying=channel, linearised=tuple(every[:n]), linearised_held_out=tuple(every[n:]))
+
+
+EXCHANGE, EXCHANGED = 0.5, 2
+"""Part of what laws leave below which a rival of the first beside the others takes its place, and how often."""
 
 
 def parts_of(
