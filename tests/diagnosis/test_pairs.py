@@ -8,16 +8,19 @@ import pytest
 
 from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.answer import _Search
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fits
 from labnnum.diagnosis.nonlinear.company import beside_others
 from labnnum.diagnosis.nonlinear.decision import _stands_out
+from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.further import _distinct, asked
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, motion_of, motions_of, spots
-from labnnum.diagnosis.nonlinear.pairs import _places, combined, pair_shares
+from labnnum.diagnosis.nonlinear.pairs import _from_calm, _places, combined, pair_shares
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, steps_of
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.diagnosis.verdict import Limits
 from labnnum.mechanisms.base import Place
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs, spread_sliders
@@ -150,8 +153,8 @@ def test_a_law_that_stands_out_is_named_though_more_is_missing(cost, other, prio
     assert _stands_out(found, best, best, (0.5, 0.5), (error, error)) is named
 
 
-def test_rivals_of_one_law_are_told_beside_the_other():
-    """Alone two laws at one place may differ by little while a second law is missing; beside it they do not."""
+def two_laws():
+    """The fits of a chain with two laws: each of two first laws alone, and with the second, the right one first."""
     made, engine, every = bench(TWO)
     spot = {str(s.place): s for s in every}
     plain = Bench(engine, engine.start(), tuple(made), Scatter(), ()).on(250)
@@ -163,13 +166,48 @@ def test_rivals_of_one_law_are_told_beside_the_other():
     other = lead("joint 2-3", "quadratic-stiffness", 100.0)
     x = plain.joint([]).start()
     alone = [plain.both(x, [one], 4) for one in (cubic, other)]
-    both = plain.both(x, [cubic, drag], 6)
-    last = replace(both, lead=drag, more=())
-    near = replace(alone[1], cost=1.01 * alone[0].cost * alone[1].made.count / alone[0].made.count)
-    study = SimpleNamespace(
-        engine=engine, point=engine.start(), runs=tuple(made), tried=(alone[0], near), company=(),
-    )  # fmt: skip
-    company = beside_others(study, [alone[0], last], Scatter())
+    both = [plain.both(x, [one, drag], 6) for one in (cubic, other)]
+    whole = [replace(t, lead=drag, more=()) for t in both]
+    cost = alone[0].cost * alone[1].made.count / alone[0].made.count
+    alone[1] = replace(alone[1], cost=1.01 * cost)
+    base = fit(plain.joint([]), x, [None] * len(made), steps=6)
+    study = Study(engine, engine.start(), tuple(made), base, base, tuple(alone), None, ())
+    return study, plain, alone, both, whole
+
+
+def test_rivals_of_one_law_are_told_beside_the_other():
+    """Alone two laws at one place may differ by little while a second law is missing; beside it they do not."""
+    study, _, alone, both, whole = two_laws()
+    company = beside_others(study, [alone[0], whole[0]], Scatter())
     assert [t.mechanism for t in company] == ["quadratic-stiffness"]
-    assert company[0].made.objective > 3 * both.made.objective
+    assert company[0].made.objective > 3 * both[0].made.objective
     assert beside_others(study, [alone[0]], Scatter()) == ()
+
+
+def test_a_rival_of_the_first_law_takes_its_place_where_it_leaves_far_less_beside_the_second():
+    study, _, alone, both, whole = two_laws()
+    one = SimpleNamespace(scatter=Scatter(), limits=Limits())
+    study = replace(study, tried=(alone[1], replace(alone[0], cost=1.01 * alone[1].cost)))
+    found, laws = _Search._in_company(one, study, [alone[1], whole[1]])
+    assert {(t.name, str(t.spot.place)) for t in laws} == {
+        ("cubic-stiffness", "joint 2-3"), ("quadratic-damping", "ground 1"),
+    }  # fmt: skip
+    assert laws[-1].made.objective < 1.1 * both[0].made.objective
+    assert found.tried[0].mechanism == "cubic-stiffness"
+    assert found.company == (whole[1],)  # what it is told from
+    same, kept = _Search._in_company(one, replace(study, tried=tuple(alone)), [alone[0], whole[0]])
+    assert kept == [alone[0], whole[0]]
+    assert same.tried == tuple(alone)
+
+
+def test_two_laws_that_hold_a_wrong_state_are_fitted_again_next_to_their_parameters():
+    study, plain, _, both, _ = two_laws()
+    cubic, drag = (replace(lead, p=lead.p * by) for lead, by in zip(of_fits(both[0]), (0.3, 1.0), strict=True))
+    calm = study.quiet.x
+    stuck = plain.both(plain.joint([]).start(), [cubic, drag], 1)
+    assert stuck is not None
+    assert stuck.made.data_part > 3 * stuck.made.count
+    found = _from_calm(plain, calm, stuck)
+    assert found.made.data_part < 1.2 * both[0].made.data_part
+    assert found.made.law(0)[0] == pytest.approx([2e4], rel=0.1)
+    assert _from_calm(plain, calm, both[0]) is both[0]  # what explains the data stays

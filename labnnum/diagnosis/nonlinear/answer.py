@@ -306,19 +306,19 @@ class _Search:
         """The laws, the first of them exchanged for a rival that leaves far less beside the others than it does, and
         the rivals that were asked beside them: which is the first alone may be the others' doing.
         """
-        for _ in range(EXCHANGED):
-            found = replace(found, company=beside_others(found, laws, self.scatter))
-            best = min(found.company, key=lambda t: t.cost / t.made.count, default=None)
-            last = laws[-1]
-            if best is None or best.cost * last.made.count > EXCHANGE * last.cost * best.made.count:
-                break
-            chain = [Tried(lead, best.made, best.cost) for lead in (best.lead, *best.more)]
-            made = needed(found, chain, self.scatter, self.limits.further)
-            if made[-1].cost * last.made.count > EXCHANGE * last.cost * made[-1].made.count:
-                break
-            first = [t for t in found.tried if t.name == best.name and t.spot.place == best.spot.place]
-            laws = made
-            found = replace(found, tried=(*first, *(t for t in found.tried if all(t is not o for o in first))))
+        company = beside_others(found, laws, self.scatter)
+        best = min(company, key=lambda t: t.cost / t.made.count, default=None)
+        last = laws[-1]
+        if best is None or best.cost * last.made.count > EXCHANGE * last.cost * best.made.count:
+            return replace(found, company=company), laws
+        chain = [Tried(lead, best.made, best.cost) for lead in (best.lead, *best.more)]
+        made = needed(found, chain, self.scatter, self.limits.further)
+        if made[-1].cost * last.made.count > EXCHANGE * last.cost * made[-1].made.count:
+            return replace(found, company=company), laws
+        first = [t for t in found.tried if t.name == best.name and t.spot.place == best.spot.place]
+        tried = (*first, *(t for t in found.tried if all(t is not o for o in first)))
+        rivals_of_it = (last, *(t for t in company if t.name != best.name or t.spot.place != best.spot.place))
+        found, laws = replace(found, tried=tried, company=rivals_of_it), made
         return found, laws
 
     def carried(self, found: NonlinearAnswer, timed: Sequence[Timed]) -> NonlinearAnswer | None:
@@ -342,8 +342,8 @@ class _Search:
         return replace(made, lying=channel, linearised=tuple(every[:n]), linearised_held_out=tuple(every[n:]))
 
 
-EXCHANGE, EXCHANGED = 0.5, 2
-"""Part of what laws leave below which a rival of the first beside the others takes its place, and how often."""
+EXCHANGE = 0.5
+"""Part of what laws leave below which a rival of the first beside the others takes its place."""
 
 
 def parts_of(
