@@ -24,7 +24,7 @@ from labnnum.diagnosis.nonlinear.decision import (
     unsimulated,
 )
 from labnnum.diagnosis.nonlinear.detect import repeating, signs
-from labnnum.diagnosis.nonlinear.effort import counted, tired
+from labnnum.diagnosis.nonlinear.effort import LAST, counted, spent, tired
 from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.fast import fast_kin
 from labnnum.diagnosis.nonlinear.fitting import Made
@@ -287,7 +287,7 @@ class _Search:
         if done is None:
             return None
         found, laws = done
-        if not self.identified and not tired():
+        if not self.identified and spent() < LAST:
             found, laws = self._in_company(found, laws)
         more = records(self.others, self.span, self.runs[0].miss) if self.nearly and not self.whole else []
         if more:

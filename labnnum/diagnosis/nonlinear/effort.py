@@ -16,6 +16,8 @@ STEP, TANGENT = 2e-7, 6e-10
 
 LONG = 30.0
 """Nominal seconds of one diagnosis after which only what was found is carried on: no more pairs, no more suspects."""
+LAST = 45.0
+"""The same after which the rivals of several laws are not asked beside the others either."""
 ONCE = 8.0
 """Nominal seconds of one diagnosis after which laws are not simulated once more from far away."""
 TWO = 10.0
