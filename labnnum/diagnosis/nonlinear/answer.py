@@ -318,8 +318,7 @@ class _Search:
         first = [t for t in found.tried if t.name == best.name and t.spot.place == best.spot.place]
         tried = (*first, *(t for t in found.tried if all(t is not o for o in first)))
         rivals_of_it = (last, *(t for t in company if t.name != best.name or t.spot.place != best.spot.place))
-        found, laws = replace(found, tried=tried, company=rivals_of_it), made
-        return found, laws
+        return replace(found, tried=tried, company=rivals_of_it), made
 
     def carried(self, found: NonlinearAnswer, timed: Sequence[Timed]) -> NonlinearAnswer | None:
         """The laws of another answer fitted on to this search's runs, which are its runs by another filter."""

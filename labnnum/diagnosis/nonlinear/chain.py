@@ -149,7 +149,8 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     before = spent()
     made = at_places(found, best, some, scatter)
     weary = tired() and (not some or spent() - before > QUICK * len(some))
-    have |= {((s if isinstance(s, Spot) else s.spot).place, (s if isinstance(s, Spot) else s.spot).axis) for s in some}
+    asked = [s if isinstance(s, Spot) else s.spot for s in some]
+    have |= {(s.place, s.axis) for s in asked}
     reached = min([best, *made], key=lambda t: t.cost)
     if reached.named and reached.simulated and reached.made.prior_part > STRAINED * reached.made.n_base and not weary:
         made += _unbent(found, reached, scatter)

@@ -105,7 +105,7 @@ def hits_of(o: Observation) -> list[Run]:
 
 
 def _apart(observations: Sequence[Observation]) -> Difference | None:
-    """What sweeps of the lowest and the highest level differ by; None where they are no sweeps of one signal."""
+    """What records of the lowest and the highest level differ by; None where they do not hold one signal."""
     known = sorted((o for o in observations if o.kind != "hammer" and np.isfinite(o.level)), key=lambda o: o.level)
     if len(known) < 2 or known[-1].level < LEVELS * known[0].level:
         return None

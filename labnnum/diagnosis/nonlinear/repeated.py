@@ -35,13 +35,12 @@ class Difference:
     signal is larger.
 
     `frequency` (n_lines,) of the lines that are driven, Hz; `apart` (n_out, n_lines), its power; `there`, that of the
-    louder responses; `driven` (n_lines,), of their input; `noise` (n_out,), what noise leaves in `apart`.
+    louder responses; `noise` (n_out,), what noise leaves in `apart`.
     """
 
     frequency: NDArray[np.float64]
     apart: NDArray[np.float64]
     there: NDArray[np.float64]
-    driven: NDArray[np.float64]
     noise: NDArray[np.float64]
 
     @property
@@ -104,7 +103,7 @@ def difference(low: Recording, high: Recording) -> Difference | None:
         return None
     outputs = list(low.outputs)
     there = np.abs(np.fft.rfft(y[outputs] * kept, axis=1)[:, on]) ** 2
-    return Difference(on * low.rate / n, left[outputs], there, factor**2 * power[on], noise[outputs])
+    return Difference(on * low.rate / n, left[outputs], there, noise[outputs])
 
 
 def _kept(records: list[Recording], window: NDArray) -> NDArray[np.float64]:
