@@ -33,7 +33,7 @@ def test_marches_are_counted_where_somebody_counts():
         first = settled()
         with counted():
             assert settled() == pytest.approx(first, rel=1e-12)
-        assert first > solver.n * effort.STEP
+        assert first > solver.n * effort.STEP * effort.UNIT
         assert settled() == pytest.approx(2 * first, rel=1e-12)
     assert spent() == 0.0
 
@@ -41,9 +41,9 @@ def test_marches_are_counted_where_somebody_counts():
 def test_a_search_is_tired_once_it_has_marched_for_long():
     assert not tired()
     with counted():
-        marched(int(0.9 * effort.LONG / effort.STEP), 5, 1, 0)
+        marched(int(0.9 * effort.LONG / (effort.STEP * effort.UNIT)), 5, 1, 0)
         assert not tired()
-        marched(int(0.2 * effort.LONG / effort.STEP), 5, 1, 0)
+        marched(int(0.2 * effort.LONG / (effort.STEP * effort.UNIT)), 5, 1, 0)
         assert tired()
     assert not tired()
 

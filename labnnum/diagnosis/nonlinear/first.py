@@ -426,7 +426,9 @@ class _Whole:
         paid = last.prior_part > STRAINED * last.n_base  # the base stands in for something linear
         spent = not explained and own and not paid and hopeless_beside(found, self.scatter, self.limits)
         limits = replace(self.limits, misfit=max(self.limits.misfit, MISFIT))  # the law's own errors are in it too
-        kind: dict = {"catalogue": ()} if spent else {"beside": near, **({"depth": 1} if hid else {})}
+        kind: dict = {"beside": near, **({"depth": 1} if hid else {})}
+        if spent:  # nothing linear explains what is left, but a channel may be wrong beside it
+            kind = {"catalogue": CHANNELS, "beside": True}
         if (explained or found.named) and hid:  # what is in the model already has to be found there, and nothing else
             laws = [n.place for n in found.named]
             held = [t.mechanism for t in _held(found) if not any(_same_place(t.place, p) for p in laws)]

@@ -28,6 +28,7 @@ from labnnum.diagnosis.nonlinear.receptance import Base, Receptance
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.tie import dashpots, tie_of
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.threads import each
 
 SLOW = 0.05
 """Speed, of its RMS in the fastest run, below which a dry contact may be at rest."""
@@ -71,9 +72,9 @@ class Followed(Joint):
         """The recovered motions at `x` and the laws' forces along them."""
         p = self.laws(x)
         self.receptances(x)
-        seen = [self._motions(run) for run in self.measured]
+        seen = each(self._motions, self.measured)
         self.slow = SLOW * np.max([np.sqrt(np.mean(m[:, :, 1] ** 2, axis=0)) for m in seen], axis=0)
-        return [self._orbit(run, m, p) for run, m in zip(self.measured, seen, strict=True)]
+        return each(lambda of: self._orbit(*of, p), list(zip(self.measured, seen, strict=True)))
 
     def _motions(self, run: Run) -> NDArray[np.float64]:
         """Motion, speed and force (n, k, 3) at the laws' places."""
@@ -109,8 +110,9 @@ class Followed(Joint):
         made = self.receptances(x)
         derived = {key: b.at_sensors(x[: self.n_base], made[key]) for key, b in self.bases.items()}
         p = self.laws(x)
-        out = []
-        for shown, run, lines, orbit in zip(self.runs, self.measured, self.lines, orbits, strict=True):
+
+        def part(of: tuple[Run, Run, Lines, Orbit | None]) -> NDArray[np.float64]:
+            shown, run, lines, orbit = of
             assert orbit is not None
             r, (dp, dh) = made[run.key], derived[run.key]
             here = r.index(lines.at)
@@ -126,8 +128,10 @@ class Followed(Joint):
                     )  # fmt: skip
                     at += 1
             change = np.concatenate([change, np.array(through)])
-            out.append(self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)))
-        return np.concatenate(out, axis=-1), list(orbits)
+            return self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1))
+
+        done = each(part, list(zip(self.runs, self.measured, self.lines, orbits, strict=True)))
+        return np.concatenate(done, axis=-1), list(orbits)
 
     def _slope(self, run: Run, orbit: Orbit, c: int, i: int, p: NDArray, at: int) -> NDArray[np.complex128]:
         """Derivative of the force spectrum of law c to its parameter i, `at` among all laws', in its scale."""

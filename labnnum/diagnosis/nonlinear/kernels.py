@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _modal(omega, zeta, share, decay, turn, rigid, out):  # pragma: no cover - compiled
     for i in range(omega.size):
         w = omega[i]
@@ -54,7 +54,7 @@ AROUND = 15
 """Lines over which what the base leaves between excited lines is averaged."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def weighed(left, lift, h, fixed, quiet, hann):  # pragma: no cover - compiled
     """What a force at one place explains of residual spectra `left` (n_out, n_lines), which are changed in place.
 

@@ -116,7 +116,7 @@ def _given_way(gz, gv, pull):  # pragma: no cover - compiled
     return z, v, taken
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def march(
     T, W0, W1, w, gz, gv, before, seated, stride, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds,
     dforces, push, dpush, pull, toward,

@@ -9,7 +9,7 @@ from labnnum.diagnosis.nonlinear.force import law, odds_of
 from labnnum.mechanisms.stick_slip import SLIDERS
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _loop(z, p, turns):  # pragma: no cover - compiled
     """Opposing force of hysteresis along a prescribed motion (n,), by the explicit midpoint rule."""
     n = z.size
@@ -33,7 +33,7 @@ def _loop(z, p, turns):  # pragma: no cover - compiled
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _slid(z, p, turns):  # pragma: no cover - compiled
     """Opposing force of a spring in series with a slider along a prescribed motion (n,)."""
     n = z.size
@@ -52,7 +52,7 @@ def _slid(z, p, turns):  # pragma: no cover - compiled
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def along(code, z, v, p, turns):  # pragma: no cover - compiled
     """Opposing force of a law along a prescribed motion (n,), passed through `turns` times; that of the last pass."""
     if code == 7:

@@ -20,6 +20,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.objective import frequency_spread
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.threads import each
 
 FINE_STEPS = 3.3
 """Steps of the march to a period of the highest excited line, at least: harmonics up to the fifth do not fold back."""
@@ -244,14 +245,16 @@ class Joint:
             return [None] * len(self.runs)
         made = self.receptances(x)
         p = self.laws(x)
-        out: list[Orbit | None] = []
-        for run, steady, orbit in zip(self.runs, self.steady, orbits, strict=True):
+
+        def settled(of: tuple[Run, Steady, Orbit | None]) -> Orbit | None:
+            run, steady, orbit = of
             r = made[run.key]
             warm = 0
             if orbit is None:
                 orbit, warm = steady.guess(r, np.zeros((steady.n, self.k))), WARM
-            out.append(steady.settle(r, p, orbit, steps + warm, self.closing, warm))
-        return out
+            return steady.settle(r, p, orbit, steps + warm, self.closing, warm)
+
+        return each(settled, list(zip(self.runs, self.steady, orbits, strict=True)))
 
     def predict(self, x: NDArray, orbits: Sequence[Orbit | None]) -> list[NDArray[np.complex128]]:
         """Spectra of the responses, (n_out, n_lines) a run, on all lines if the objective is `whole`."""
@@ -321,17 +324,22 @@ class Joint:
     def parts(self, x: NDArray, orbits: Sequence[Orbit | None]) -> tuple[NDArray, NDArray]:
         """Whitened residual (n_out, N) and marginalised columns (n_out, n, N)."""
         made = self.receptances(x)
-        r_all, b_all, before = [], [], []
-        for run, lines, orbit in zip(self.runs, self.lines, orbits, strict=True):
+
+        def part(of: tuple[Run, Lines, Orbit | None]) -> tuple[NDArray, NDArray, NDArray]:
+            run, lines, orbit = of
             r = made[run.key]
             at = lines.need
             y = self._response(r, run, orbit, at)
-            r_all.append(self._real(lines.seen(run.y[:, at] - y)))
             columns = lines.seen(np.moveaxis(self._nuisance(r, run, orbit, at, y), 1, 0))
-            b_all.append(self._real(np.moveaxis(columns, 0, 1)))
             ringing = lines.seen(np.moveaxis(self._before(r, run, at), 1, 0))
-            before.append(self._real(np.moveaxis(ringing, 0, 1)))
-        return np.concatenate(r_all, axis=-1), _beside(b_all, before)
+            return (
+                self._real(lines.seen(run.y[:, at] - y)),
+                self._real(np.moveaxis(columns, 0, 1)),
+                self._real(np.moveaxis(ringing, 0, 1)),
+            )
+
+        left, shared, own = zip(*each(part, list(zip(self.runs, self.lines, orbits, strict=True))), strict=True)
+        return np.concatenate(left, axis=-1), _beside(shared, own)
 
     def value(self, x: NDArray, orbits: Sequence[Orbit | None], columns: NDArray) -> float:
         """Objective, what is marginalised held."""
@@ -389,8 +397,9 @@ class Joint:
                 at += 1
         vary = vary[self.used]
         moving = np.append(np.ones(self.n_base, bool), self.used)
-        out, new = [], []
-        for run, lines, steady, orbit in zip(self.runs, self.lines, self.steady, orbits, strict=True):
+
+        def part(of: tuple[Run, Lines, Steady, Orbit | None]) -> tuple[NDArray, Orbit | None]:
+            run, lines, steady, orbit = of
             r, (dp, dh, dz, dg) = made[run.key], derived[run.key]
             at = lines.need
             here = r.index(at)
@@ -404,9 +413,10 @@ class Joint:
                 every = np.zeros((moving.size, *change.shape[1:]), complex)
                 every[moving] = np.concatenate([change + through[: self.n_base], through[self.n_base :]])
                 change = every
-            out.append(self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)))
-            new.append(orbit)
-        return np.concatenate(out, axis=-1), new
+            return self._real(np.moveaxis(lines.seen(change * r.lift[:, here]), 0, 1)), orbit
+
+        done = each(part, list(zip(self.runs, self.lines, self.steady, orbits, strict=True)))
+        return np.concatenate([change for change, _ in done], axis=-1), [orbit for _, orbit in done]
 
 
 def steps_of(terms: Sequence[Acting]) -> float:
