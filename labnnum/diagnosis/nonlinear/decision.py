@@ -120,7 +120,8 @@ def decide(
     base, last = found.base, laws[-1]
     excess = max(1.0, best.made.data_part / best.made.count)
     rivals = [t for t in found.tried if t.named and not t.same(best) and not best.all_of_it < t.all_of_it]
-    against = [t for t in rivals if t.simulated and not _only_smoother(t, best)]
+    sound = enough == NEARLY and best.made.prior_part < SOUND * best.made.n_base
+    against = [t for t in rivals if t.simulated and not _only_smoother(t, best) and not (sound and _warped(t))]
     total = (base.objective * best.made.count / base.count - best.made.objective) / excess
     misfit = last.made.data_part / last.made.count
     general = _level(found.general, last) if found.general is not None else np.inf
@@ -146,7 +147,7 @@ def decide(
         reason = UNCONFIRMED
     elif misfit > MISFIT and not nearly and not _stands_out(found, best, last, base_error, extended_error):
         reason = NOTHING
-    elif last.made.prior_part > WARPED * last.made.n_base and enough == NEARLY:
+    elif _warped(last) and enough == NEARLY:
         reason = BOUGHT
     elif not best.named:
         reason = NAMELESS
@@ -216,8 +217,14 @@ def _stands_out(
     alone = best.cost / best.made.count
     ahead = all(t.cost / t.made.count > AHEAD * alone for t in others)
     explains = last.made.objective / last.made.count < EXPLAINS * found.base.objective / found.base.count
-    warped = last.made.prior_part > WARPED * last.made.n_base
-    return ahead and explains and not warped and error[1] < FORETELLS * base_error[1]
+    return ahead and explains and not _warped(last) and error[1] < FORETELLS * base_error[1]
+
+
+def _warped(t: Tried) -> bool:
+    """Whether the base beside a law is another structure: such a law has no name, nor is it a rival of one whose base
+    is sound.
+    """
+    return t.made.prior_part > WARPED * t.made.n_base
 
 
 def unbent(engine: Engine, x: NDArray) -> NDArray[np.float64]:

@@ -37,16 +37,17 @@ from labnnum.diagnosis.nonlinear.decision import (
 )
 from labnnum.diagnosis.nonlinear.detect import CHANGE
 from labnnum.diagnosis.nonlinear.effort import counted
-from labnnum.diagnosis.nonlinear.explore import NOISY, STRAINED, calmed
+from labnnum.diagnosis.nonlinear.explore import MISLED, NOISY, STRAINED, calmed
 from labnnum.diagnosis.nonlinear.fast import held_fast
 from labnnum.diagnosis.nonlinear.force import N_P
-from labnnum.diagnosis.nonlinear.locate import Lead, spots
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
 from labnnum.diagnosis.nonlinear.overloaded import overloaded
+from labnnum.diagnosis.nonlinear.partner import partners
 from labnnum.diagnosis.nonlinear.receptance import cords
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.stuck import held_by, let_go
+from labnnum.diagnosis.nonlinear.stuck import held_by, let_go, sticking
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
@@ -283,15 +284,35 @@ class _Whole:
         return self._with(under.faults, self.engine, given=Given(forms, base[0], NOISY))
 
     def _let_go(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
-        """The law on the structure alone if each spring of the quietest level is a slider that holds there; None where
-        there is no such spring.
+        """The law on the structure alone if each spring of the quietest level is a slider that holds there, and, where
+        that is not all, another law beside such a slider; None where there is no such spring.
         """
         study = second.study
         base = _without(self.engine, study.engine, study.quiet.x)
-        if base is None:
+        sliders = [] if base is None else sticking(study, _held(second), base[1], self.scatter)
+        if base is None or not sliders:
             return None
-        forms = let_go(study, _held(second), base[1], self.scatter)
-        return self._with(under.faults, self.engine, given=Given(forms, base[0], NOISY)) if forms else None
+        loose = self._with(under.faults, self.engine, given=Given(let_go(sliders), base[0], NOISY))
+        if (loose is not None and loose.named) or study.quiet.data_part > MISLED * study.quiet.count:
+            return loose
+        plain = self._plain(under)
+        if plain is None:
+            return loose
+        self.progress("seeking another law beside a slider that sticks")
+        bench, every = plain
+        forms = tuple(two for slider, motion in sliders for two in partners(bench, base[0], slider, motion, every))
+        return self._with(under.faults, self.engine, given=Given(forms, base[0], NOISY)) if forms else loose
+
+    def _plain(self, under: Beneath) -> tuple[Bench, list[Spot]] | None:
+        """The bench of the structure alone, faults of channels off, and the spots where a law may act."""
+        train, usable = ([mended(o, under.faults) for o in some] for some in (self.train, self.usable))
+        parts = parts_of(self.engine, train, (), usable, self.band)
+        if parts is None:
+            return None
+        runs = tuple(o.run for o in parts.train if o.run is not None)
+        own = base_point(self.engine, parts.train[quietest(runs)], self.scatter, self.band)
+        every = spots(self.engine, self.engine.site(self.places.nodes, self.places.elements, self.places.supports))
+        return Bench(self.engine, own, runs, self.scatter, ()), every
 
     def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
         """The law, sought once more where one that leaves too much, named or not, stands beside something linear that
@@ -444,8 +465,10 @@ class _Whole:
                 return rest
             if found.named and supposed(self.engine, rest) is not None and not (self.faults or self.nearly):
                 return rest
-        self.of_channels = ()
-        return self.again(*measured, limits=limits)  # the law's errors excused what a channel has wrong
+        rest = self.again(*measured, limits=limits)  # the law's errors excused what a channel has wrong
+        if not _finds(rest, self.faults):
+            self.of_channels = ()
+        return rest
 
 
 UNSURE, HALF = 1.5, 0.5
@@ -547,6 +570,15 @@ def _total(found: NonlinearAnswer) -> float:
 def _same_place(a: Place, b: Place) -> bool:
     """Whether two places are one, an element and the joint in it being the same."""
     return {a.id, a.to} == {b.id, b.to}
+
+
+def _finds(rest: Diagnosis, faults: Sequence[Fault]) -> bool:
+    """Whether what a linear search finds first is one of the channels' faults, named or not, and explains most."""
+    chain = rest.detail["selection"].chain
+    if len(chain) < 2 or chain[1].cost > HALF * chain[0].cost:
+        return False
+    first = chain[1].last
+    return any(first.mechanism.id == f.term.mechanism.id and first.place == f.term.place for f in faults)
 
 
 def _left(rest: Diagnosis) -> float:

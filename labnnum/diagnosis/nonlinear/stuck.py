@@ -90,11 +90,15 @@ COARSE = 160
 """Lines of a run by which a motion is recovered."""
 LET_GO = (0.15, 0.4, 1.0)
 """Limits of a slider that a spring of the quietest level may be, of its force at the RMS of the motion at the highest
-level."""
+level;"""
+MANY, APART = 0.4, 0.8
+"""and the mean limit, of that, and the spread of the limits of many sliders: what yields bit by bit bends the base for
+a single one, and does not come back from there."""
 
 
-def let_go(study: Study, held: Sequence[Term], values: NDArray, scatter: Scatter) -> tuple[tuple[Lead, ...], ...]:
-    """Sliders in several forms for springs that a structure holds because its quietest level shows them.
+def sticking(study: Study, held: Sequence[Term], values: NDArray, scatter: Scatter) -> list[tuple[Lead, float]]:
+    """Sliders that the springs may be which a structure holds because its quietest level shows them, without a limit,
+    and the RMS of the motion of each at the highest level.
 
     Parameters
     ----------
@@ -113,11 +117,22 @@ def let_go(study: Study, held: Sequence[Term], values: NDArray, scatter: Scatter
         if spot is None or own.size != 1 or own[0] <= 0 or not isinstance(term.sought.groups[0].law, Spring):
             continue
         q = recover(bench.joint([]), study.quiet.x, study.point, spot)
-        motion, k = float(np.std(q.z[high])), own[0] * unit_of(term, spot)
-        for part in LET_GO:
-            p = np.zeros(N_P)
-            p[:2] = k, part * k * motion
-            out.append((Lead(spot, "stick-slip", p, q.gain),))
+        p = np.zeros(N_P)
+        p[0] = own[0] * unit_of(term, spot)
+        out.append((Lead(spot, "stick-slip", p, q.gain), float(np.std(q.z[high]))))
+    return out
+
+
+def let_go(sliders: Sequence[tuple[Lead, float]]) -> tuple[tuple[Lead, ...], ...]:
+    """Sliders, with the RMS of their motion, in several forms: limits of one, and many side by side."""
+    out = []
+    for slider, motion in sliders:
+        force = slider.p[0] * motion
+        forms = [("stick-slip", part * force, 0.0) for part in LET_GO] + [("sliders", MANY * force, APART)]
+        for mechanism, limit, spread in forms:
+            p = slider.p.copy()
+            p[1:3] = limit, spread
+            out.append((replace(slider, mechanism=mechanism, p=p),))
     return tuple(out)
 
 

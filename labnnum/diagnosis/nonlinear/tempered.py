@@ -101,15 +101,15 @@ def contest(
     progress("simulating strong laws")
     wide = slackened(bench, ladder[0])
     begun = _begun(wide, x, _promising(bench, x, found, laws, leads, ladder[0]), CLEAR * alone.data_part)
-    near = [wide.carry_on(t, SETTLED, last=False) for t in _near(begun, CARRIED, BEHIND)]
-    near = _near(near, CARRIED)
+    near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
+    near = nearest_of(near, CARRIED)
     if not near or near[0].cost > HOPEFUL * alone.objective:
         return []
     jumps = near[0].mechanism == "coulomb-friction"  # with coarse steps the next tolerance would bend its base
     for slack in (*ladder[2 if jumps else 1 :], 0.0):
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
         carried = [on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH) for t in near]
-        near = _near(carried, CARRIED if slack else ENDED)
+        near = nearest_of(carried, CARRIED if slack else ENDED)
     return near
 
 
@@ -174,8 +174,8 @@ def _promising(
             continue
         own = [lead for lead in leads if np.array_equal(np.abs(lead.spot.column), np.abs(q.spot.column))]
         for law in laws:
-            some = [*_sizes(bench, q, law, high), *(lead for lead in own if lead.mechanism == law)]
-            looked = [(_left(loud, x, lead), lead) for lead in some]
+            some = [*sizes_of(bench, q, law, high), *(lead for lead in own if lead.mechanism == law)]
+            looked = [(left_by(loud, x, [lead]), lead) for lead in some]
             out += sorted((p for p in looked if np.isfinite(p[0])), key=lambda pair: pair[0])[:1]
     return [lead for _, lead in sorted(out, key=lambda pair: pair[0])]
 
@@ -190,15 +190,15 @@ def _sharp(t: Tried) -> bool:
     return t.mechanism == "coulomb-friction" or SHAPES[t.mechanism].law in KINKED
 
 
-def _near(tried: list[Tried], most: int, far: float = FAR) -> list[Tried]:
+def nearest_of(tried: list[Tried], most: int, far: float = FAR) -> list[Tried]:
     """The best, as far as they are near the first."""
     tried = sorted(tried, key=lambda t: t.cost)
     return [t for t in tried[:most] if t.cost < far * tried[0].cost]
 
 
-def _left(bench: Bench, x: NDArray, lead: Lead) -> float:
-    """Objective of a law as it stands, over the bench's runs; infinite where no steady state is found."""
-    joint = bench.joint([lead])
+def left_by(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> float:
+    """Objective of laws as they stand, over the bench's runs; infinite where no steady state is found."""
+    joint = bench.joint(leads)
     start = joint.start(x)
     with np.errstate(all="ignore"):  # a law that pushes may go beyond all numbers
         orbits = joint.settle(start, [None] * len(bench.runs), 8)
@@ -207,7 +207,7 @@ def _left(bench: Bench, x: NDArray, lead: Lead) -> float:
         return reduced(*joint.parts(start, orbits))[0]
 
 
-def _sizes(bench: Bench, q: Recovered, law: str, high: int) -> list[Lead]:
+def sizes_of(bench: Bench, q: Recovered, law: str, high: int) -> list[Lead]:
     """A law with the strengths that are looked at, its gap or slip at each of some parts of the motion."""
     shape = SHAPES[law]
     z, v = q.z[high], q.v[high]

@@ -1,0 +1,93 @@
+"""A slider that sticks at the quietest level and another law: neither is found alone, both from far away together."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis.nonlinear.decision import _warped
+from labnnum.diagnosis.nonlinear.explore import engine_start
+from labnnum.diagnosis.nonlinear.first import _finds
+from labnnum.diagnosis.nonlinear.force import N_P
+from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.mended import Fault
+from labnnum.diagnosis.nonlinear.partner import partners
+from labnnum.diagnosis.nonlinear.stuck import let_go
+from labnnum.diagnosis.nonlinear.tempered import relaxed
+from labnnum.mechanisms.base import Place, Term
+from labnnum.mechanisms.channel_gain import ChannelGain
+from labnnum.mechanisms.channel_highpass import ChannelHighpass
+from labnnum.nonlinear import Element
+from tests.diagnosis.test_nonlinear import chain, joint_23, runs
+from tests.diagnosis.test_stuck import bench_of
+
+STIFFNESS, LIMIT, CUBIC = 900.0, 25.0, 6e3
+
+
+@pytest.fixture(scope="module")
+def both():
+    """A slider between the second mass and the third, and a cubic spring under the fourth."""
+    under = np.array([0.0, 0.0, 0.0, 1.0])
+    elements = [Element("jenkins", joint_23(), (STIFFNESS, LIMIT)), Element("cubic", under, (CUBIC,))]
+    seen = sorted(runs(elements, chain(), (1.0, 6.0, 36.0)), key=lambda o: o.level)
+    return bench_of(seen[::2])
+
+
+def test_both_are_found_from_the_spring_that_the_quietest_level_shows(both):
+    bench, _, every = both
+    spot = next(s for s in every if (s.place.id, s.place.to) == ("2", "3"))
+    p = np.zeros(N_P)
+    p[0] = 1.05 * STIFFNESS
+    nominal = engine_start(bench.joint([]))
+    forms = partners(bench, nominal, Lead(spot, "stick-slip", p, 0.0), 0.03, every)
+    assert 1 <= len(forms) <= 2
+    made = min((relaxed(bench, nominal, two) for two in forms), key=lambda t: t.cost)
+    assert made.all_of_it == {("stick-slip", spot.place), ("cubic-stiffness", Place("ground", "4"))}
+    assert made.made.law(0)[0] == pytest.approx([STIFFNESS, LIMIT], rel=0.3)  # where the last fits begin
+    assert made.made.law(1)[0] == pytest.approx([CUBIC], rel=0.3)
+
+
+def test_nothing_is_sought_where_the_slider_alone_explains_it():
+    slider = Element("jenkins", joint_23(), (STIFFNESS, LIMIT))
+    bench, _, every = bench_of(sorted(runs([slider], chain(), (1.0, 6.0, 36.0)), key=lambda o: o.level)[::2])
+    spot = next(s for s in every if (s.place.id, s.place.to) == ("2", "3"))
+    p = np.zeros(N_P)
+    p[0] = STIFFNESS
+    assert partners(bench, engine_start(bench.joint([])), Lead(spot, "stick-slip", p, 0.0), 0.03, every) == ()
+
+
+def test_a_spring_may_be_one_slider_or_many(both):
+    spot = both[2][0]
+    p = np.zeros(N_P)
+    p[0] = 500.0
+    forms = [form[0] for form in let_go([(Lead(spot, "stick-slip", p, 0.0), 0.02)])]
+    assert {f.mechanism for f in forms} == {"stick-slip", "sliders"}
+    for f in forms:
+        assert f.p[0] == 500.0
+        assert 0.0 < f.p[1] <= 500.0 * 0.02
+        assert (f.p[2] > 0) == (f.mechanism == "sliders")
+
+
+@pytest.mark.parametrize(("price", "warped"), [(90.0, False), (110.0, True)])
+def test_a_base_that_pays_a_hundred_an_entry_is_another_structure(price, warped):
+    assert _warped(SimpleNamespace(made=SimpleNamespace(prior_part=14 * price, n_base=14))) is warped
+
+
+def found_first(mechanism, channel, cost):
+    """A linear search that leaves 100 and finds a channel's fault first."""
+    term = Term(mechanism, Place("channel", channel), (), np.zeros((0, 1)))
+    chain_ = [SimpleNamespace(cost=100.0, terms=()), SimpleNamespace(cost=cost, terms=(term,), last=term)]
+    return SimpleNamespace(detail={"selection": SimpleNamespace(chain=chain_)})
+
+
+def test_a_channel_is_believed_where_the_search_beside_the_law_finds_the_same_first():
+    fault = Fault(Term(ChannelHighpass(), Place("channel", "a5"), (), np.zeros((0, 1))), np.array([5.5]))
+    assert _finds(found_first(ChannelHighpass(), "a5", 25.0), [fault])
+    assert not _finds(found_first(ChannelHighpass(), "a5", 80.0), [fault])
+    assert not _finds(found_first(ChannelHighpass(), "a4", 25.0), [fault])
+    assert not _finds(found_first(ChannelGain(), "a5", 25.0), [fault])
+    assert not _finds(found_first(ChannelGain(), "a5", 25.0), [])
+    alone = found_first(ChannelHighpass(), "a5", 25.0)
+    alone.detail["selection"].chain.pop()
+    assert not _finds(alone, [replace(fault)])
