@@ -9,7 +9,7 @@ import pytest
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear import study
 from labnnum.diagnosis.nonlinear.bench import Bench
-from labnnum.diagnosis.nonlinear.effort import LONG, STEP, counted, marched, spent
+from labnnum.diagnosis.nonlinear.effort import LONG, STEP, UNIT, counted, marched, spent
 from labnnum.diagnosis.nonlinear.follow import along, marched_from
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
@@ -115,7 +115,7 @@ def test_nothing_is_tied_after_a_long_search(monkeypatch, long, tied):
     monkeypatch.setattr("labnnum.diagnosis.nonlinear.loosen.loosened", lambda bench, one: [fitted])
     bench = SimpleNamespace(runs=[SimpleNamespace(open=True)], simulate=lambda one, steps: free)
     with counted():
-        marched(int(1.1 * LONG / STEP) if long else 1, 5, 1, 0)
+        marched(int(1.1 * LONG / (STEP * UNIT)) if long else 1, 5, 1, 0)
         assert in_step(bench, tried(200.0, False), 4) is (fitted if tied else free)
 
 
