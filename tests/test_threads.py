@@ -12,6 +12,7 @@ from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.nonlinear.effort import counted, marched, spent
 from labnnum.nonlinear import Element
 from labnnum.threads import each
+from sessions.prove.jobs import THREAD_SETTINGS
 from tests.diagnosis.test_nonlinear import chain, joint_23, runs
 
 
@@ -67,6 +68,10 @@ def test_pieces_see_the_context_that_they_were_asked_in(number):
     kept = ContextVar("kept", default="nothing")
     kept.set("something")
     assert each(lambda _: kept.get(), range(3)) == ["something"] * 3
+
+
+def test_processes_side_by_side_take_one_thread_each():
+    assert threads.VARIABLE in THREAD_SETTINGS
 
 
 def test_a_number_that_is_none_is_not_taken(monkeypatch):

@@ -9,9 +9,10 @@ from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import TypeVar
 
-from labnnum.threads import VARIABLE
-
-THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", VARIABLE)
+LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREAD_SETTINGS = (*LIBRARIES, "LABNNUM_THREADS")
+"""Variables of the environment that say how many threads a process takes; that of `labnnum.threads` is written out,
+since what draws the truth imports nothing of the tool."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
