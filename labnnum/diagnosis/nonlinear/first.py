@@ -46,6 +46,7 @@ from labnnum.diagnosis.nonlinear.merge import merged
 from labnnum.diagnosis.nonlinear.overloaded import overloaded
 from labnnum.diagnosis.nonlinear.partner import partners
 from labnnum.diagnosis.nonlinear.receptance import cords
+from labnnum.diagnosis.nonlinear.records import Split
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.stuck import held_by, let_go, sticking
 from labnnum.diagnosis.observe import Observation
@@ -264,20 +265,16 @@ class _Whole:
     def _fast(self, under: Beneath) -> NonlinearAnswer | None:
         """Friction in the stead of what holds a place fast at the quietest level; None where nothing does."""
         wide = under.engines[0]
-        train = [mended(o, under.faults) for o in self.train]
-        usable = [mended(o, under.faults) for o in self.usable]
-        parts = parts_of(wide, train, (), usable, self.band) if _holds(wide) else None
+        parts = self._parts(wide, under) if _holds(wide) else None
         if parts is None:
             return None
-        runs = tuple(o.run for o in parts.train if o.run is not None)
-        i = quietest(runs)
+        bench, every = self._plain(parts)
+        i = quietest(bench.runs)
         point = base_point(wide, parts.train[i], self.scatter, self.band)
-        base = _without(self.engine, wide, calmed(wide, point, runs[i], self.scatter).x)
+        base = _without(self.engine, wide, calmed(wide, point, bench.runs[i], self.scatter).x)
         if base is None:
             return None
-        own = base_point(self.engine, parts.train[i], self.scatter, self.band)
-        every = spots(self.engine, self.engine.site(self.places.nodes, self.places.elements, self.places.supports))
-        forms = held_fast(Bench(self.engine, own, runs, self.scatter, ()), base[0], _holds(wide), every)
+        forms = held_fast(bench, base[0], _holds(wide), every)
         if not forms:
             return None
         self.progress("seeking friction where something holds fast")
@@ -295,20 +292,21 @@ class _Whole:
         loose = self._with(under.faults, self.engine, given=Given(let_go(sliders), base[0], NOISY))
         if (loose is not None and loose.named) or study.quiet.data_part > MISLED * study.quiet.count:
             return loose
-        plain = self._plain(under)
-        if plain is None:
+        parts = self._parts(self.engine, under)
+        if parts is None:
             return loose
         self.progress("seeking another law beside a slider that sticks")
-        bench, every = plain
+        bench, every = self._plain(parts)
         forms = tuple(two for slider, motion in sliders for two in partners(bench, base[0], slider, motion, every))
         return self._with(under.faults, self.engine, given=Given(forms, base[0], NOISY)) if forms else loose
 
-    def _plain(self, under: Beneath) -> tuple[Bench, list[Spot]] | None:
-        """The bench of the structure alone, faults of channels off, and the spots where a law may act."""
+    def _parts(self, on: Engine, under: Beneath) -> Split | None:
+        """The runs of the fit as an engine takes them, faults of channels off."""
         train, usable = ([mended(o, under.faults) for o in some] for some in (self.train, self.usable))
-        parts = parts_of(self.engine, train, (), usable, self.band)
-        if parts is None:
-            return None
+        return parts_of(on, train, (), usable, self.band)
+
+    def _plain(self, parts: Split) -> tuple[Bench, list[Spot]]:
+        """The bench of the structure alone over some runs, and the spots where a law may act."""
         runs = tuple(o.run for o in parts.train if o.run is not None)
         own = base_point(self.engine, parts.train[quietest(runs)], self.scatter, self.band)
         every = spots(self.engine, self.engine.site(self.places.nodes, self.places.elements, self.places.supports))

@@ -142,7 +142,7 @@ def _elsewhere(plain: Joint, best: Tried, spots: Sequence[Spot], bench: Bench) -
     shares = pair_shares(plain, x, spots)
     shares = np.maximum(shares, shares.T)
     leads = of_fits(best)
-    at = [_number(spots, lead.spot) for lead in leads]
+    at = [number_of(spots, lead.spot) for lead in leads]
     out = []
     for i in range(2):
         others = sorted((j for j in range(len(spots)) if j not in at), key=lambda j: -shares[at[1 - i], j])
@@ -158,7 +158,7 @@ AROUND = 2
 """Places that are tried instead of each of the best pair's."""
 
 
-def _number(spots: Sequence[Spot], spot: Spot) -> int:
+def number_of(spots: Sequence[Spot], spot: Spot) -> int:
     """Where a spot, in either sense, stands among all."""
     return next(i for i, s in enumerate(spots) if s.place == spot.place and s.axis == spot.axis.lstrip("-"))
 
@@ -287,7 +287,7 @@ def _places(
         out.append((some[0], some[1]))
     for one in some:
         out.append((one, one))
-        i = _number(spots, one)
+        i = number_of(spots, one)
         beside = sorted((j for j in range(n) if j != i), key=lambda j: -max(shares[i, j], shares[j, i]))
         out += [(one, spots[j]) for j in beside[:most]]
     distinct: list[tuple[Spot, Spot]] = []

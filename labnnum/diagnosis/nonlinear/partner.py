@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fits, tried_fit
+from labnnum.diagnosis.nonlinear.beside import ONE_LEVEL
 from labnnum.diagnosis.nonlinear.explore import LAWS, LINES
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, recover
-from labnnum.diagnosis.nonlinear.pairs import pair_shares
+from labnnum.diagnosis.nonlinear.pairs import number_of, pair_shares
 from labnnum.diagnosis.nonlinear.tempered import (
     BEGUN,
     BRIEF,
@@ -40,8 +41,8 @@ FOREMOST = 12
 """Laws that are."""
 HOPEFUL = 0.35
 """Part of what the slider alone leaves with the widest tolerance above which no law beside it is worth more."""
-ANCHOR, SAME_LEVEL = 0.03, 1.05
-"""Tolerance on the runs of the lowest level, and the ratio of two levels below which they are one."""
+ANCHOR = 0.03
+"""Tolerance on the runs of the lowest level."""
 FORMS = 2
 """Pairs that are handed on."""
 
@@ -98,7 +99,7 @@ def _held(bench: Bench, x: NDArray, leads: Sequence[Lead], steps: int, *, base: 
 def _anchored(bench: Bench) -> Bench:
     """The bench with the widest tolerance, but for the runs of the lowest level, which tell the base and the spring."""
     wide, close = slackened(bench, LADDER[0]), slackened(bench, ANCHOR)
-    most = SAME_LEVEL * min(r.level for r in bench.runs)
+    most = ONE_LEVEL * min(r.level for r in bench.runs)
     some = zip(bench.runs, wide.lines, close.lines, strict=True)
     return replace(wide, lines=tuple(b if r.level < most else a for r, a, b in some), closing=close.closing)
 
@@ -107,7 +108,7 @@ def _forms(bench: Bench, x: NDArray, slider: Lead, spots: Sequence[Spot], high: 
     """The slider with every law at the spots where the forces of both explain most, in the strengths looked at."""
     plain = bench.joint([])
     shares = pair_shares(plain, x, spots)
-    own = next(i for i, s in enumerate(spots) if s.place == slider.spot.place and s.axis == slider.spot.axis)
+    own = number_of(spots, slider.spot)
     order = sorted((i for i in range(len(spots)) if i != own), key=lambda i: -max(shares[own, i], shares[i, own]))
     found = [recover(plain, x, bench.point, spots[i]) for i in order[:SPOTS]]
     return [(slider, lead) for q in found for law in LAWS for lead in sizes_of(bench, q, law, high)]
