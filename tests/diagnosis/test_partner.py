@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from labnnum.diagnosis.nonlinear.beside import finds_first
 from labnnum.diagnosis.nonlinear.decision import _warped
 from labnnum.diagnosis.nonlinear.explore import engine_start
-from labnnum.diagnosis.nonlinear.first import _finds
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.mended import Fault
@@ -83,11 +83,11 @@ def found_first(mechanism, channel, cost):
 
 def test_a_channel_is_believed_where_the_search_beside_the_law_finds_the_same_first():
     fault = Fault(Term(ChannelHighpass(), Place("channel", "a5"), (), np.zeros((0, 1))), np.array([5.5]))
-    assert _finds(found_first(ChannelHighpass(), "a5", 25.0), [fault])
-    assert not _finds(found_first(ChannelHighpass(), "a5", 80.0), [fault])
-    assert not _finds(found_first(ChannelHighpass(), "a4", 25.0), [fault])
-    assert not _finds(found_first(ChannelGain(), "a5", 25.0), [fault])
-    assert not _finds(found_first(ChannelGain(), "a5", 25.0), [])
+    assert finds_first(found_first(ChannelHighpass(), "a5", 25.0), [fault])
+    assert not finds_first(found_first(ChannelHighpass(), "a5", 80.0), [fault])
+    assert not finds_first(found_first(ChannelHighpass(), "a4", 25.0), [fault])
+    assert not finds_first(found_first(ChannelGain(), "a5", 25.0), [fault])
+    assert not finds_first(found_first(ChannelGain(), "a5", 25.0), [])
     alone = found_first(ChannelHighpass(), "a5", 25.0)
     alone.detail["selection"].chain.pop()
-    assert not _finds(alone, [replace(fault)])
+    assert not finds_first(alone, [replace(fault)])

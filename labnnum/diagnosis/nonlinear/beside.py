@@ -43,6 +43,9 @@ ONE_LEVEL = 1.05
 WORTH = 0.75
 """Part of what the base alone leaves beside a law to which something linear must bring it down to be tried there."""
 
+MOSTLY = 0.5
+"""The same for a channel's fault that was there when a law was found to be believed."""
+
 
 def strained(found: NonlinearAnswer) -> bool:
     """Whether a law explains most, and the base beside it pays more than a sound one: it stands in for something."""
@@ -118,6 +121,15 @@ def beneath(
     every = [named_of(found.fit, i, SURE, scatter) for i in range(len(found.terms))]
     wrong = {f.term for f in faults}
     return Beneath(engines, faults, tuple(n for n in every if n.term in wrong))
+
+
+def finds_first(rest: Diagnosis, faults: Sequence[Fault]) -> bool:
+    """Whether what a linear search finds first is one of the channels' faults, named or not, and explains most."""
+    chain = rest.detail["selection"].chain
+    if len(chain) < 2 or chain[1].cost > MOSTLY * chain[0].cost:
+        return False
+    first = chain[1].last
+    return any(first.mechanism.id == f.term.mechanism.id and first.place == f.term.place for f in faults)
 
 
 def supposed(engine: Engine, rest: Diagnosis) -> Beneath | None:

@@ -17,6 +17,7 @@ from labnnum.diagnosis.nonlinear.beside import (
     added_to,
     beneath,
     channels_of,
+    finds_first,
     misled,
     quietest_of,
     shares_of,
@@ -464,7 +465,7 @@ class _Whole:
             if found.named and supposed(self.engine, rest) is not None and not (self.faults or self.nearly):
                 return rest
         rest = self.again(*measured, limits=limits)  # the law's errors excused what a channel has wrong
-        if not _finds(rest, self.faults):
+        if not finds_first(rest, self.faults):
             self.of_channels = ()
         return rest
 
@@ -568,15 +569,6 @@ def _total(found: NonlinearAnswer) -> float:
 def _same_place(a: Place, b: Place) -> bool:
     """Whether two places are one, an element and the joint in it being the same."""
     return {a.id, a.to} == {b.id, b.to}
-
-
-def _finds(rest: Diagnosis, faults: Sequence[Fault]) -> bool:
-    """Whether what a linear search finds first is one of the channels' faults, named or not, and explains most."""
-    chain = rest.detail["selection"].chain
-    if len(chain) < 2 or chain[1].cost > HALF * chain[0].cost:
-        return False
-    first = chain[1].last
-    return any(first.mechanism.id == f.term.mechanism.id and first.place == f.term.place for f in faults)
 
 
 def _left(rest: Diagnosis) -> float:
