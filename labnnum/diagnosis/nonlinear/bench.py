@@ -224,3 +224,15 @@ def cost(made: Made, mechanism: str) -> float:
     if mechanism == "general":
         n = int(np.count_nonzero(made.x[made.n_base :]))
     return made.objective + PRICE * (n + (1 if mechanism == "hysteresis" else 0))
+
+
+def leads_of(laws: Sequence[Tried]) -> list[Lead]:
+    """Leads of a chain's laws with the parameters of its last fit."""
+    last = laws[-1].made
+    out = []
+    for i, t in enumerate(laws):
+        p = np.zeros_like(t.lead.p)
+        value, _ = last.law(i)
+        p[: value.size] = value
+        out.append(replace(t.lead, p=p))
+    return out

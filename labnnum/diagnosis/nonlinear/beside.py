@@ -43,6 +43,8 @@ ONE_LEVEL = 1.05
 WORTH = 0.75
 """Part of what the base alone leaves beside a law to which something linear must bring it down to be tried there."""
 
+AGREE = 3.0
+"""Standard deviations of both within which two searches find one fault."""
 MOSTLY = 0.5
 """The same for a channel's fault that was there when a law was found to be believed."""
 
@@ -130,6 +132,29 @@ def finds_first(rest: Diagnosis, faults: Sequence[Fault]) -> bool:
         return False
     first = chain[1].last
     return any(first.mechanism.id == f.term.mechanism.id and first.place == f.term.place for f in faults)
+
+
+def confirmed(rest: Diagnosis, quiet: Diagnosis) -> tuple[Named, ...]:
+    """The fault of a channel that a linear search beside a law finds first, where the search at the quietest level
+    finds the same first, and as large: what keeps either from naming it is not in both. None where they differ.
+    """
+    beside, alone = _first_fault(rest), _first_fault(quiet)
+    if beside is None or alone is None:
+        return ()
+    same = beside.term.mechanism.id == alone.term.mechanism.id and beside.place == alone.place
+    apart = np.abs(beside.value - alone.value)
+    return (beside,) if same and np.all(apart < AGREE * np.hypot(beside.std, alone.std)) else ()
+
+
+def _first_fault(d: Diagnosis) -> Named | None:
+    """What a linear search finds first, if it is a channel's fault that can be taken off."""
+    chain = d.detail["selection"].chain
+    if len(chain) < 2 or len(chain[1].terms) != 1:
+        return None
+    faults = faults_of(chain[1].terms, chain[1].fit.point.terms)
+    if not faults or any(f.lost for f in faults):
+        return None
+    return named_of(chain[1].fit, 0, SURE, d.detail["selection"].scatter)
 
 
 def supposed(engine: Engine, rest: Diagnosis) -> Beneath | None:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-import numpy as np
-
-from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fits
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, leads_of, of_fits
 from labnnum.diagnosis.nonlinear.explore import LONG
 from labnnum.diagnosis.nonlinear.lines import choose_lines
-from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.scatter import Scatter
 
 CLOSE, MOST = 1.5, 3
@@ -46,7 +42,7 @@ def beside_others(study: Study, laws: Sequence[Tried], scatter: Scatter, lines: 
         study.engine, study.point, study.runs, scatter,
         tuple(choose_lines(r, lines, scatter.floor) for r in study.runs),
     )  # fmt: skip
-    held = _leads(laws)[1:]
+    held = leads_of(laws)[1:]
     out: list[Tried] = []
     for t in rivals[:MOST]:
         own = of_fits(t)[0]
@@ -55,15 +51,3 @@ def beside_others(study: Study, laws: Sequence[Tried], scatter: Scatter, lines: 
             one = bench.carry_on(one, LONG, last=last.made.terms[0].last)
             out.append(one)
     return tuple(out)
-
-
-def _leads(laws: Sequence[Tried]) -> list[Lead]:
-    """Leads of a chain's laws with the parameters of its last fit."""
-    last = laws[-1].made
-    out = []
-    for i, t in enumerate(laws):
-        p = np.zeros_like(t.lead.p)
-        value, _ = last.law(i)
-        p[: value.size] = value
-        out.append(replace(t.lead, p=p))
-    return out

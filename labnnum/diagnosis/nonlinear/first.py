@@ -7,31 +7,29 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.answer import Given, answer, parts_of
-from labnnum.diagnosis.nonlinear.bench import Bench
+from labnnum.diagnosis.nonlinear.bases import nominal, without
+from labnnum.diagnosis.nonlinear.bench import Bench, leads_of
 from labnnum.diagnosis.nonlinear.beside import (
     Beneath,
     added_to,
     beneath,
     channels_of,
+    confirmed,
     finds_first,
     misled,
     quietest_of,
     shares_of,
-    strained,
     supposed,
 )
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
 from labnnum.diagnosis.nonlinear.decision import (
-    BOUGHT,
     EQUAL,
     FOUND,
     KNOWN,
     MISFIT,
-    NOTHING,
     UNCONFIRMED,
     USELESS,
     NonlinearAnswer,
@@ -40,23 +38,36 @@ from labnnum.diagnosis.nonlinear.detect import CHANGE
 from labnnum.diagnosis.nonlinear.effort import counted
 from labnnum.diagnosis.nonlinear.explore import MISLED, NOISY, STRAINED, calmed
 from labnnum.diagnosis.nonlinear.fast import held_fast
-from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
 from labnnum.diagnosis.nonlinear.overloaded import overloaded
 from labnnum.diagnosis.nonlinear.partner import partners
-from labnnum.diagnosis.nonlinear.receptance import cords
 from labnnum.diagnosis.nonlinear.records import Split
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
-from labnnum.diagnosis.nonlinear.stuck import held_by, let_go, sticking
+from labnnum.diagnosis.nonlinear.stuck import let_go, sticking, unsprung
+from labnnum.diagnosis.nonlinear.worth import (
+    BETTER,
+    EXPLAINED,
+    better,
+    bought,
+    certain,
+    clear,
+    dear,
+    explains,
+    held_in,
+    held_of,
+    idle,
+    instead,
+    same_place,
+    total,
+    twice,
+)
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
 from labnnum.mechanisms import CATALOGUE
-from labnnum.mechanisms.base import Place, Term
-from labnnum.mechanisms.extended import ExtendedStructure
 from labnnum.structures.modal import ModalStructure
 
 if TYPE_CHECKING:
@@ -121,7 +132,7 @@ def nonlinear_first(
         if found is None:
             return None
         found = whole.unhidden(found)
-        if not found.named and found.reason != KNOWN and not _certain(found):
+        if not found.named and found.reason != KNOWN and not certain(found):
             linear = whole.nameless(found)
             if linear is not None:
                 return linear
@@ -181,23 +192,23 @@ class _Whole:
         parts = parts_of(self.engine, self.train, self.test, self.usable, self.band) if free else None
         early = parts is not None and misled(self.engine, parts, self.scatter, self.band)
         found = self.law(self.engine, suspicious=False, strong=True) if early else None
-        sure = found is not None and _clear(found)
+        sure = found is not None and clear(found)
         under: Beneath | None = None
         second: NonlinearAnswer | None = None
         if early and not sure:
             quiet, under = self._quiet()
             fast = self._fast(under) if under is not None else None
-            if fast is not None and under is not None and _explained(fast):
+            if fast is not None and under is not None and explains(fast):
                 found, second, sure = None, fast, True
             elif under is not None:
                 second = self._above(under)
-                if quiet.named and (second is None or second.reason == UNCONFIRMED or _idle(second)):
+                if quiet.named and (second is None or second.reason == UNCONFIRMED or idle(second)):
                     return None  # with that in the model there is nothing nonlinear, or next to nothing
-        if not sure and second is not None and under is not None and _dear(second):
+        if not sure and second is not None and under is not None and dear(second):
             loose = self._let_go(second, under)
-            second = loose if loose is not None and loose.named and _total(loose) < _total(second) else second
+            second = loose if loose is not None and loose.named and total(loose) < total(second) else second
         if not sure and second is not None and better(second, NOISY):
-            again = self._unsprung(second, under) if under is not None and _twice(second) else None
+            again = self._unsprung(second, under) if under is not None and twice(second) else None
             second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
         elif not sure:
             whole = self.law(self.engine, known=self.known, strong=False if early else None)
@@ -205,10 +216,10 @@ class _Whole:
                 found = whole
             if found is None or found.reason == UNCONFIRMED:
                 return None
-            if free and not early and not _explained(found):
+            if free and not early and not explains(found):
                 under = self._quiet()[1]
                 second = self._above(under) if under is not None else None
-        if under is not None and second is not None and (found is None or _instead(second, found)):
+        if under is not None and second is not None and (found is None or instead(second, found)):
             found, self.faults, self.of_channels = second, under.faults, under.named
             self._mend(self.faults)
         return found
@@ -246,36 +257,28 @@ class _Whole:
         return made
 
     def _unsprung(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
-        """The law without what its structure holds at the same place, from where both are; None where none is."""
-        last = second.laws[-1].made
-        made = _without(self.engine, second.study.engine, last.x)
-        if made is None:
-            return None
-        base, values = made
-        plain: list[Lead] = []
-        stiffer: list[Lead] = []
-        for i, t in enumerate(second.laws):
-            p = np.zeros(N_P)
-            p[: last.terms[i].n] = last.law(i)[0]
-            one = t.mechanism == "sliders" and p[2] < ONE_LIMIT
-            plain.append(replace(t.lead, p=p, mechanism="stick-slip" if one else t.mechanism))
-            k = held_by(_held(second), values, t.spot)
-            stiffer.append(replace(plain[-1], p=np.concatenate([[p[0] + k], p[1:]])))
-        return self._with(under.faults, self.engine, given=Given((tuple(plain), tuple(stiffer)), base, NOISY))
+        """The law without what its structure holds at the same place, from where both are."""
+        last, wide = second.laws[-1].made, second.study.engine
+        n = self.engine.theta0.size
+        values = last.x[n : wide.theta0.size]
+        made = without(self.engine, wide, last.x)
+        base = made[0] if made is not None else nominal(self.engine, last.x[:n])
+        forms = unsprung(second.laws, held_in(second), values, self._spots(), float(self.engine.band[0]))
+        return self._with(under.faults, self.engine, given=Given(forms, base, NOISY))
 
     def _fast(self, under: Beneath) -> NonlinearAnswer | None:
         """Friction in the stead of what holds a place fast at the quietest level; None where nothing does."""
         wide = under.engines[0]
-        parts = self._parts(wide, under) if _holds(wide) else None
+        parts = self._parts(wide, under) if held_of(wide) else None
         if parts is None:
             return None
         bench, every = self._plain(parts)
         i = quietest(bench.runs)
         point = base_point(wide, parts.train[i], self.scatter, self.band)
-        base = _without(self.engine, wide, calmed(wide, point, bench.runs[i], self.scatter).x)
+        base = without(self.engine, wide, calmed(wide, point, bench.runs[i], self.scatter).x)
         if base is None:
             return None
-        forms = held_fast(bench, base[0], _holds(wide), every)
+        forms = held_fast(bench, base[0], held_of(wide), every)
         if not forms:
             return None
         self.progress("seeking friction where something holds fast")
@@ -286,8 +289,8 @@ class _Whole:
         that is not all, another law beside such a slider; None where there is no such spring.
         """
         study = second.study
-        base = _without(self.engine, study.engine, study.quiet.x)
-        sliders = [] if base is None else sticking(study, _held(second), base[1], self.scatter)
+        base = without(self.engine, study.engine, study.quiet.x)
+        sliders = [] if base is None else sticking(study, held_in(second), base[1], self.scatter)
         if base is None or not sliders:
             return None
         loose = self._with(under.faults, self.engine, given=Given(let_go(sliders), base[0], NOISY))
@@ -310,16 +313,23 @@ class _Whole:
         """The bench of the structure alone over some runs, and the spots where a law may act."""
         runs = tuple(o.run for o in parts.train if o.run is not None)
         own = base_point(self.engine, parts.train[quietest(runs)], self.scatter, self.band)
-        every = spots(self.engine, self.engine.site(self.places.nodes, self.places.elements, self.places.supports))
-        return Bench(self.engine, own, runs, self.scatter, ()), every
+        return Bench(self.engine, own, runs, self.scatter, ()), self._spots()
+
+    def _spots(self) -> list[Spot]:
+        """The spots of the structure alone where a law may act."""
+        return spots(self.engine, self.engine.site(self.places.nodes, self.places.elements, self.places.supports))
 
     def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
         """The law, sought once more where one that leaves too much, named or not, stands beside something linear that
         the base pays for, in the structure or on a channel.
         """
-        much = bool(found.named) and found.misfit > MISFIT
-        if not (found.reason in (NOTHING, BOUGHT) or much) or not strained(found):
+        if not bought(found):
             return found
+        if len(found.laws) > 1:
+            second = self._retraced(found)
+            found = second if second is not None and total(second) < BETTER * total(found) else found
+            if not bought(found):
+                return found
         self.progress("searching for linear physics that hides the law")
         rest = self.again(found.linearised, found.linearised_held_out, depth=1)
         wider = added_to(self.engine, rest)
@@ -336,6 +346,15 @@ class _Whole:
         self.faults, self.of_channels = faults, wrong
         self._mend(faults)
         return second
+
+    def _retraced(self, found: NonlinearAnswer) -> NonlinearAnswer | None:
+        """The same laws from the nominal base on: one that was found alone has bent the base, and does not come back
+        when the others join it.
+        """
+        self.progress("fitting these laws together from the nominal model")
+        leads = tuple(leads_of(found.laws))
+        engine = found.study.engine
+        return self._with((), engine, given=Given((leads,), nominal(engine, engine.theta0), NOISY))
 
     # ------------------------------------------------------------ linear physics instead of it and beside it
 
@@ -368,6 +387,7 @@ class _Whole:
         found, clipped = self._restored(found)
         self.progress("searching for linear physics beside it")
         found, rest = self._supposing(found, self._rest(found))
+        rest = self._confirming(found, rest)
         unsure = self.periodic and found.lying is None and found.misfit > UNSURE
         doubted = _doubted(rest, self.train) if unsure else None
         if doubted is not None and not self.faults:
@@ -430,7 +450,19 @@ class _Whole:
                     self.faults, self.of_channels = under.faults, under.named
                     return second, again
         self.train, self.test, self.usable = before
-        return found, self._rest(found, supposing=False) if _explained(found) else rest
+        return found, self._rest(found, supposing=False) if explains(found) else rest
+
+    def _confirming(self, found: NonlinearAnswer, rest: Diagnosis) -> Diagnosis:
+        """The linear search beside a law; with the fault of a channel that it finds first but cannot name, where the
+        quietest level shows the same.
+        """
+        open_ = bool(found.named) and rest.verdict == "unexplained" and not (rest.named or self.faults or self.nearly)
+        if not open_ or not confirmed(rest, rest):
+            return rest
+        self.progress("searching for that channel's fault at the quietest level")
+        quiet = self.again(quietest_of(self.usable, self.train), depth=1, hint=True)
+        named = confirmed(rest, quiet)
+        return replace(rest, verdict="measurement-fault", named=named) if named else rest
 
     def _rest(self, found: NonlinearAnswer, supposing: bool = True) -> Diagnosis:
         """The linear search on the FRFs from which the law's share is taken, as far as it may find anything there.
@@ -451,7 +483,7 @@ class _Whole:
             kind = {"catalogue": CHANNELS, "beside": True}
         if (explained or found.named) and hid:  # what is in the model already has to be found there, and nothing else
             laws = [n.place for n in found.named]
-            held = [t.mechanism for t in _held(found) if not any(_same_place(t.place, p) for p in laws)]
+            held = [t.mechanism for t in held_in(found) if not any(same_place(t.place, p) for p in laws)]
             kind |= {"limits": limits, "catalogue": (*held, *CHANNELS)}
         parts = (found.linearised, found.linearised_held_out)
         measured = [[mended(o, self.faults, back=True) for o in part] for part in parts]
@@ -476,109 +508,11 @@ CHANNELS = tuple(m for m in CATALOGUE if m.domain == "channel")
 """Mechanisms that are asked for where a law leaves nothing."""
 SAME = 1.1
 """Part of what a law leaves that it may leave where linear physics that it did not know of is in the model."""
-BETTER, NEARER = 0.8, 0.5
-"""Part of what a law leaves to which it must bring it where linear physics was put beside it; and the part of that
-which one without a name may leave."""
-
-
-def _certain(found: NonlinearAnswer) -> bool:
-    """Whether nonlinear physics acts that has no name, or more than one: no linear mechanism stands in for it."""
-    base = found.study.base.data_part / found.study.base.count
-    return found.reason in FOUND or (found.reason == EQUAL and found.misfit < CLEAR * base)
-
-
-ONE_LIMIT = 0.1
-"""Spread of sliders' limits below which they are as well one slider."""
-
-
-def better(second: NonlinearAnswer | None, most: float) -> bool:
-    """Whether a law beside linear physics leaves less than `most` a value; one without a name, a part of that."""
-    return second is not None and second.gained and second.misfit < (most if second.named else NEARER * most)
-
-
-def _instead(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
-    """Whether a law beside linear physics takes the place of one without; none without a name of one that has one."""
-    names = bool(second.named) and not found.named and second.misfit < found.misfit
-    return names or (bool(second.named or not found.named) and better(second, BETTER * found.misfit))
-
-
-CLEAR = 0.01
-"""Part of what the base leaves below which a strong law was found, though it leaves more than noise."""
-
-
-def _clear(found: NonlinearAnswer) -> bool:
-    """Whether a strong law was found, which the quietest level can tell nothing about: one that is named, or that still
-    needs something linear beside it to be.
-    """
-    base = found.study.base.data_part / found.study.base.count
-    sure = bool(found.named) or (found.reason in (NOTHING, BOUGHT) and strained(found))
-    return sure and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
-
-
-def _idle(second: NonlinearAnswer) -> bool:
-    """Whether a law beside linear physics helps to predict nothing, and the base there leaves little for one."""
-    base = second.study.base
-    return second.reason == USELESS and base.data_part < MISFIT * base.count
-
-
-def _held(found: NonlinearAnswer) -> list[Term]:
-    """The mechanisms in the structure on which a law was found."""
-    return _holds(found.study.engine)
-
-
-def _holds(engine: Engine) -> list[Term]:
-    """The mechanisms in an engine's structure."""
-    structure = engine.structure
-    return [a.term for a in structure.added] if isinstance(structure, ExtendedStructure) else []
-
-
-def _twice(found: NonlinearAnswer | None) -> bool:
-    """Whether a law acts where its structure holds a mechanism already, which may be the law as the quietest level sees
-    it: a slider that sticks is a spring.
-    """
-    return found is not None and any(_same_place(t.place, n.place) for t in _held(found) for n in found.named)
-
-
-def _without(engine: Engine, wide: Engine, x: NDArray) -> tuple[NDArray, NDArray] | None:
-    """The base vector of an engine from that of one whose structure holds mechanisms besides, and the parameters of
-    these; None where the two structures have other motions.
-    """
-    n, more, there = engine.theta0.size, wide.theta0.size, wide.band_modes
-    if wide.basis.shape[0] != engine.basis.shape[0]:
-        return None
-    own = engine.band_modes
-    _, at, where = np.intersect1d(own, there, return_indices=True)
-    modes = np.stack([np.zeros(own.size), np.log(engine.zeta0[own]), np.zeros(own.size)])
-    modes[:, at] = x[more : more + 3 * there.size].reshape(3, -1)[:, where]
-    hung = more + 3 * there.size
-    return np.concatenate([x[:n], modes.ravel(), x[hung : hung + cords(engine)]]), x[n:more]
-
-
-def _dear(second: NonlinearAnswer) -> bool:
-    """Whether a law stands beside something linear and the base pays more than a sound one all the same."""
-    last = second.laws[-1].made
-    return bool(_held(second)) and (not second.named or last.prior_part > STRAINED * last.n_base)
-
-
-def _total(found: NonlinearAnswer) -> float:
-    """What a law leaves and costs, a value."""
-    last = found.laws[-1].made
-    return last.objective / last.count
-
-
-def _same_place(a: Place, b: Place) -> bool:
-    """Whether two places are one, an element and the joint in it being the same."""
-    return {a.id, a.to} == {b.id, b.to}
 
 
 def _left(rest: Diagnosis) -> float:
     """What the structure as it is leaves in a linear search."""
     return float(rest.detail["selection"].chain[0].cost)
-
-
-def _explained(found: NonlinearAnswer) -> bool:
-    """Whether a law is named that leaves nothing for anything else."""
-    return bool(found.named) and found.misfit < EXPLAINED and found.lying is None
 
 
 def _doubted(rest: Diagnosis, train: Sequence[Observation]) -> int | None:
@@ -592,7 +526,3 @@ def _doubted(rest: Diagnosis, train: Sequence[Observation]) -> int | None:
 def _missing(o: Observation, error: float) -> Observation:
     """The observation with what an identified base is known to miss."""
     return o if o.run is None else replace(o, run=replace(o.run, miss=error))
-
-
-EXPLAINED = 1.2
-"""Chi-square per value below which a law and the ordinary errors leave nothing for the linear search."""

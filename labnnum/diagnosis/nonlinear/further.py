@@ -70,9 +70,8 @@ def further(
             leads += law_leads(background, q, LAWS) if wanted is None else [wanted]
     excess = max(1.0, made.data_part / made.count)
     least = max(alarm * excess, promise * (made.objective - made.count))
-    leads = sorted(
-        (lead for lead in leads if lead.gain > least and not _again(lead, held)), key=lambda lead: -lead.gain
-    )
+    leads = sorted((lead for lead in leads if not _again(lead, held)), key=lambda lead: -lead.gain)
+    leads = [q for q in leads if q.gain > least] or _outstanding(leads, max(alarm * excess, LESS * least))
     best: Tried | None = None
     for lead in leads[:1] if general else _distinct(leads)[:TRIED]:
         more = Joint(engine, point, runs, [*held, lead.acting()], scatter, chosen)
@@ -91,6 +90,14 @@ def further(
     gain = (made.objective - best.cost) / excess
     left = max(made.objective - made.count, 1.0) / excess
     return best if gain > max(alarm, worth * left) else None
+
+
+def _outstanding(leads: Sequence[Lead], least: float) -> list[Lead]:
+    """The best lead if it promises `least`, and far more than any at another place."""
+    if not leads or leads[0].gain < least:
+        return []
+    others = [q.gain for q in leads if q.spot.place != leads[0].spot.place]
+    return list(leads[:1]) if leads[0].gain > OUTSTANDING * max(others, default=0.0) else []
 
 
 def _distinct(leads: Sequence[Lead]) -> list[Lead]:
@@ -112,6 +119,10 @@ ASKED, SAMPLES = (3, 16), 1_000_000
 
 How much a force explains tells little of where the second law acts, while the first has bent the base; and with two
 sensors any two forces explain all. Laws tell, and those take a moment to ask where runs are short.
+"""
+LESS, OUTSTANDING = 1 / 3, 2.0
+"""Part of the promise that is asked for of a lead which promises this many times what any at another place does: a
+corner that is seldom reached shows along a motion that the first law has bent as a small part of what it is.
 """
 TRIED = 3
 """Second laws that are fitted beside the first."""

@@ -18,6 +18,7 @@ from labnnum.diagnosis.nonlinear.beside import ONE_LEVEL
 from labnnum.diagnosis.nonlinear.explore import LAWS, LINES
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.pairs import number_of, pair_shares
+from labnnum.diagnosis.nonlinear.stuck import spread_of
 from labnnum.diagnosis.nonlinear.tempered import (
     BEGUN,
     BRIEF,
@@ -26,6 +27,7 @@ from labnnum.diagnosis.nonlinear.tempered import (
     ROUGHLY,
     SETTLED,
     STEPS,
+    UNFIT,
     left_by,
     nearest_of,
     sizes_of,
@@ -43,8 +45,10 @@ HOPEFUL = 0.35
 """Part of what the slider alone leaves with the widest tolerance above which no law beside it is worth more."""
 ANCHOR = 0.03
 """Tolerance on the runs of the lowest level."""
+WIDE = 3
+"""Tolerances, of the ladder's, that may be the widest."""
 FORMS = 2
-"""Pairs that are handed on."""
+"""Pairs that are handed on, the first with many sliders side by side too."""
 
 Two = tuple[Lead, Lead]
 
@@ -66,16 +70,15 @@ def partners(bench: Bench, x: NDArray, slider: Lead, motion: float, spots: Seque
         Where the other law may act.
     """
     bench = bench.on(LINES)
-    wide = _anchored(bench)
-    high = int(np.argmax([r.level for r in bench.runs]))
-    loud = replace(wide, runs=(wide.runs[high],), lines=(wide.lines[high],), closing=LADDER[0] / ROUGHLY)
     force = slider.p[0] * motion
+    slack, least = _tolerance(bench, x, [_limited(slider, part * force) for part in (LIMIT, *LIMITS)])
+    wide = _anchored(bench, slack)
+    high = int(np.argmax([r.level for r in bench.runs]))
+    loud = replace(wide, runs=(wide.runs[high],), lines=(wide.lines[high],), closing=slack / ROUGHLY)
     looked = [(left_by(loud, x, two), two) for two in _forms(bench, x, _limited(slider, LIMIT * force), spots, high)]
     looked = _foremost(looked)
     more = [(_limited(slider, part * force), other) for _, (_, other) in looked[:FOREMOST] for part in LIMITS]
     looked = _foremost([*looked, *((left_by(loud, x, two), two) for two in more)])
-    alone = [_held(wide, x, [_limited(slider, part * force)], STEPS) for part in (LIMIT, *LIMITS)]
-    least = min((t.cost for t in alone if t is not None), default=np.inf)
     settled = [_held(wide, x, two, STEPS, base=True) for _, two in looked[:FOREMOST]]
     begun = [_held(wide, x, of_fits(t), BRIEF) for t in nearest_of([t for t in settled if t is not None], BEGUN)]
     near = nearest_of([t for t in begun if t is not None], CARRIED)
@@ -83,7 +86,10 @@ def partners(bench: Bench, x: NDArray, slider: Lead, motion: float, spots: Seque
     near = nearest_of([t for t in ended if t is not None], FORMS)
     if not near or near[0].cost > HOPEFUL * least:
         return ()
-    return tuple(_two(t) for t in near)
+    best, *others = (of_fits(t) for t in near)
+    slider, other = best
+    many = spread_of(slider, slider.p), other
+    return tuple(_two(leads) for leads in (best, many, *others))
 
 
 def _held(bench: Bench, x: NDArray, leads: Sequence[Lead], steps: int, *, base: bool = False) -> Tried | None:
@@ -96,9 +102,23 @@ def _held(bench: Bench, x: NDArray, leads: Sequence[Lead], steps: int, *, base: 
     return tried_fit(joint, begin, [None] * len(bench.runs), leads[0], steps, exact=not base, more=leads[1:])
 
 
-def _anchored(bench: Bench) -> Bench:
-    """The bench with the widest tolerance, but for the runs of the lowest level, which tell the base and the spring."""
-    wide, close = slackened(bench, LADDER[0]), slackened(bench, ANCHOR)
+def _tolerance(bench: Bench, x: NDArray, sliders: Sequence[Lead]) -> tuple[float, float]:
+    """The widest tolerance that the slider alone does not satisfy, or the last of the wide ones, and what the slider
+    leaves with it, at the best of its limits.
+    """
+    slack, least = LADDER[0], np.inf
+    for slack in LADDER[:WIDE]:
+        wide = _anchored(bench, slack)
+        made = [t for s in sliders if (t := _held(wide, x, [s], STEPS)) is not None]
+        least = min((t.cost for t in made), default=np.inf)
+        if any(t.made.data_part > UNFIT * t.made.count for t in made if t.cost == least):
+            break
+    return slack, least
+
+
+def _anchored(bench: Bench, slack: float) -> Bench:
+    """The bench with a tolerance, but for the runs of the lowest level, which tell the base and the spring."""
+    wide, close = slackened(bench, slack), slackened(bench, min(slack, ANCHOR))
     most = ONE_LEVEL * min(r.level for r in bench.runs)
     some = zip(bench.runs, wide.lines, close.lines, strict=True)
     return replace(wide, lines=tuple(b if r.level < most else a for r, a, b in some), closing=close.closing)
@@ -129,6 +149,6 @@ def _limited(slider: Lead, limit: float) -> Lead:
     return replace(slider, p=p)
 
 
-def _two(t: Tried) -> Two:
-    first, second = of_fits(t)
+def _two(leads: Sequence[Lead]) -> Two:
+    first, second = leads
     return first, second

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
-from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, leads_of
 from labnnum.diagnosis.nonlinear.fitting import reduced
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot, recover
@@ -26,7 +26,7 @@ from labnnum.diagnosis.scatter import Data, Scatter
 from labnnum.diagnosis.search import broaden
 from labnnum.mechanisms.base import Group, Term
 from labnnum.mechanisms.ground_stiffness import GroundStiffness
-from labnnum.mechanisms.laws import Spring
+from labnnum.mechanisms.laws import Maxwell, Oscillator, Spring
 from labnnum.parameters import Parameter
 
 FACTORS = (1.0, 2.0)
@@ -148,21 +148,65 @@ def spot_along(term: Term, spots: Sequence[Spot]) -> Spot | None:
     return None
 
 
-def held_by(held: Sequence[Term], values: NDArray, spot: Spot) -> float:
-    """Stiffness with which what a structure holds holds the motion of a spot, N/m or N m/rad.
+ONE_LIMIT = 0.1
+"""Spread of sliders' limits below which they are as well one slider."""
+
+
+def unsprung(
+    laws: Sequence[Tried], held: Sequence[Term], values: NDArray, spots: Sequence[Spot], lowest: float
+) -> tuple[tuple[Lead, ...], tuple[Lead, ...]]:
+    """Laws that were found on a structure which holds mechanisms as laws of the structure alone: as they are, and with
+    the stiffness with which it holds their places on top.
+
+    Parameters
+    ----------
+    values : ndarray
+        Parameters of all that is held, one after the other.
+    spots : sequence of Spot
+        Of the structure alone.
+    lowest : float
+        Lowest frequency that was measured, rad/s.
+    """
+    own = {(s.place, s.axis): s for s in spots}
+    plain, stiffer = [], []
+    for lead in leads_of(laws):
+        one = lead.mechanism == "sliders" and lead.p[2] < ONE_LIMIT
+        spot = replace(own[lead.spot.place, lead.spot.axis.lstrip("-")], axis=lead.spot.axis)
+        plain.append(replace(lead, spot=spot, mechanism="stick-slip" if one else lead.mechanism))
+        p = lead.p.copy()
+        p[0] += held_by(held, values, spot, lowest)
+        stiffer.append(replace(plain[-1], p=p))
+    return tuple(plain), tuple(stiffer)
+
+
+def held_by(held: Sequence[Term], values: NDArray, spot: Spot, lowest: float) -> float:
+    """Stiffness with which what a structure holds holds the motion of a spot, N/m or N m/rad: a spring, what gives
+    slowly, and an oscillator that hardly moves above its own frequency.
 
     Parameters
     ----------
     values : ndarray
         Parameters of all of it, one after the other.
+    lowest : float
+        Lowest frequency that was measured, rad/s.
     """
     k, at = 0.0, 0
     for term in held:
         own = values[at : at + term.n]
         at += term.n
-        if own.size == 1 and spot_along(term, [spot]) is not None and isinstance(term.sought.groups[0].law, Spring):
-            k += own[0] * unit_of(term, spot)
+        if spot_along(term, [spot]) is not None:
+            k += _as_spring(term, own, lowest) * unit_of(term, spot)
     return float(k)
+
+
+def _as_spring(term: Term, own: NDArray, lowest: float) -> float:
+    """The parameter of the spring that a term is above a frequency in rad/s; zero where it is none."""
+    law = term.sought.groups[0].law
+    if isinstance(law, Spring) and own.size == 1:
+        return float(own[0])
+    if isinstance(law, Oscillator) and 2 * np.pi * own[1] < lowest:
+        return float(own[0] * (2 * np.pi * own[1]) ** 2)
+    return float(own[0]) if isinstance(law, Maxwell) and own[1] * lowest > 1 else 0.0
 
 
 def unit_of(term: Term, spot: Spot) -> float:
