@@ -152,8 +152,14 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     asked = [s if isinstance(s, Spot) else s.spot for s in some]
     have |= {(s.place, s.axis) for s in asked}
     reached = min([best, *made], key=lambda t: t.cost)
-    if reached.named and reached.simulated and reached.made.prior_part > STRAINED * reached.made.n_base and not weary:
-        made += _unbent(found, reached, scatter)
+    bent = reached.made.prior_part > STRAINED * reached.made.n_base
+    if (
+        reached.named
+        and reached.simulated
+        and (bent or reached.made.data_part > UNSURE * reached.made.count)
+        and not weary
+    ):
+        made += _unbent(found, reached, every, scatter)
         reached = min([best, *made], key=lambda t: t.cost)
     if not (reached.simulated and reached.named) or reached.made.data_part < UNSURE * reached.made.count or weary:
         return made
@@ -163,23 +169,27 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     return [*made, *at_places(found, reached, there, scatter)]
 
 
-def _unbent(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
-    """A law for which the base bends far, at other spots of the distortion, from the base of the quietest level.
+def _unbent(found: Study, one: Tried, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
+    """A law for which the base bends far, or that leaves much, at other spots from the base of the quietest level: where the distortion is,
+    and where its force would do as well, with the strength and the gap that this takes.
 
-    What is recovered through a base that was bent for the wrong place tells of no other.
+    What is recovered through a base that was bent for the wrong place tells of no other, nor does a motion of it that
+    leads there, since next to the right place a law's own bends a little too.
     """
     bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES)
     bare = found.quiet.x[: one.made.bare]
-    out: list[Tried] = []
+    out: list[Tried | None] = []
     for q in [q for q in found.recovered if q.spot.place != one.spot.place][:ELSEWHERE]:
         followed = bench.follow(bare, replace(of_fit(one), spot=q.spot), LONG)
-        made = in_step(bench, followed, LONG) if followed is not None else None
-        out += [made] if made is not None else []
-    return out
+        out.append(in_step(bench, followed, LONG) if followed is not None else None)
+    moved = [(gain, q) for gain, q in as_well(found, one, every, scatter) if q.spot.place != one.spot.place]
+    for _, lead in sorted((row for row in moved if row[0] > RIVAL), key=lambda row: -row[0])[:MOVED]:
+        out.append(bench.direct((bare,), lead, LONG, soften=False))
+    return [t for t in out if t is not None]
 
 
-ELSEWHERE = 3
-"""Spots at which a law is tried for which the base bends far."""
+ELSEWHERE, MOVED = 3, 4
+"""Spots at which a law is tried for which the base bends far, by the distortion and by what its force does there."""
 
 
 def twins(found: Study, spot: Spot, every: Sequence[Spot]) -> list[Spot]:
