@@ -170,8 +170,8 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
 
 
 def _unbent(found: Study, one: Tried, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
-    """A law for which the base bends far, or that leaves much, at other spots from the base of the quietest level: where the distortion is,
-    and where its force would do as well, with the strength and the gap that this takes.
+    """A law for which the base bends far, or that leaves much, at other spots from the base of the quietest level:
+    where the distortion is, and where its force would do as well, with the strength and the gap that this takes.
 
     What is recovered through a base that was bent for the wrong place tells of no other, nor does a motion of it that
     leads there, since next to the right place a law's own bends a little too.
