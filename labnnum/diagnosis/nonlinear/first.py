@@ -46,7 +46,7 @@ from labnnum.diagnosis.nonlinear.partner import partners
 from labnnum.diagnosis.nonlinear.records import Split
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.stuck import let_go, sticking, unsprung
-from labnnum.diagnosis.nonlinear.worth import (
+from labnnum.diagnosis.nonlinear.weighed import (
     BETTER,
     EXPLAINED,
     better,
