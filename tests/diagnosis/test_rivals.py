@@ -43,6 +43,7 @@ def test_a_law_that_leaves_far_more_than_noise_is_tried_where_its_base_finds_the
     monkeypatch.setattr(chain, "as_well", lambda found, best, every, scatter: [])
     monkeypatch.setattr(chain, "at_places", at_places)
     monkeypatch.setattr(chain, "looked", looked)
+    monkeypatch.setattr(chain, "_unbent", lambda found, one, every, scatter: [])
     monkeypatch.setattr(chain, "nearest", lambda found: found)
     best = tried(0, 3000.0, "best")
     recovered = [SimpleNamespace(spot=s, gain=g) for s, g in zip(SPOTS, (10.0, 9.0, 1.0, 1.0, 1.0), strict=True)]
@@ -82,6 +83,53 @@ def test_a_law_for_which_the_base_bends_far_is_tried_elsewhere_from_the_unbent_b
     made = chain.rivals(found, SPOTS, None)
     assert followed == [("cal", place) for place in asked]
     assert [t.cost for t in made] == [900.0 if place != "1" else 40.0 for place in asked]
+
+
+@pytest.mark.parametrize(
+    ("left", "price", "asked"),
+    [(90.0, 5.0, []), (90.0, 300.0, ["4", "3", "2", "1"]), (900.0, 5.0, ["4", "3", "2", "1"])],
+)
+def test_a_law_that_leaves_much_or_bends_the_base_is_simulated_where_its_force_would_do_best(
+    monkeypatch, left, price, asked
+):
+    """From the unbent base, with the strength that this takes there; what would do worse than `RIVAL` is left out."""
+    simulated = []
+
+    class OnLines:
+        def follow(self, x, lead, steps):
+            return None
+
+        def direct(self, begins, lead, steps, soften):
+            simulated.append((begins, lead.spot.place.id, lead.p[0]))
+            return tried(int(lead.spot.place.id), 10.0, "moved") if lead.spot is not SPOTS[2] else None
+
+    def at(i, k):
+        return Lead(SPOTS[i], "quadratic-damping", np.full(10, k), 1.0)
+
+    moved = [
+        (0.9, at(1, 1.0)),
+        (1.4, at(4, 4.0)),
+        (1.0, at(2, 2.0)),
+        (0.5, at(0, 9.0)),
+        (1.1, at(3, 3.0)),
+        (0.7, at(1, 7.0)),
+    ]
+    monkeypatch.setattr(chain, "Bench", lambda *args: SimpleNamespace(on=lambda lines: OnLines()))
+    monkeypatch.setattr(chain, "of_fit", lambda one: one.lead)
+    monkeypatch.setattr(chain, "twins", lambda found, spot, every: [])
+    monkeypatch.setattr(chain, "as_well", lambda found, best, every, scatter: moved)
+    monkeypatch.setattr(chain, "at_places", lambda found, best, spots, scatter: [])
+    best = tried(0, left, "best", price)
+    best.lead = at(0, 1.0)
+    recovered = [SimpleNamespace(spot=s, gain=1.0) for s in SPOTS]
+    quiet = SimpleNamespace(x="calm base and motions")
+    found = SimpleNamespace(
+        best=best, tried=[best], recovered=recovered, engine=None, point=None, runs=(), quiet=quiet
+    )  # fmt: skip
+    made = chain.rivals(found, SPOTS, None)
+    assert [i for _, i, _ in simulated] == asked
+    assert all(begins == ("cal",) and p == float(i) for begins, i, p in simulated)
+    assert [t.spot.place.id for t in made] == [i for i in asked if i != "2"]
 
 
 def test_a_follow_at_a_second_place_is_simulated_whatever_a_simulation_leaves_at_the_first():
