@@ -91,6 +91,8 @@ def test_a_law_takes_the_stiffness_of_an_oscillator_at_its_place(engine, every):
     assert plain[0].p == pytest.approx(p)
     assert stiffer[0].p[0] == pytest.approx(200.0 + 3.0 * (2 * np.pi) ** 2)
     assert stiffer[0].p[1:] == pytest.approx(p[1:])
+    elsewhere = [s for s in every if s.place != lead.spot.place]
+    assert unsprung([SimpleNamespace(lead=lead, made=made)], [one], values, elsewhere, BAND[0]) == ()
     for q in (plain[0], stiffer[0]):
         assert q.spot.axis == lead.spot.axis
         assert q.spot.column.size == 4

@@ -46,7 +46,8 @@ WORTH = 0.75
 AGREE = 3.0
 """Standard deviations of both within which two searches find one fault."""
 MOSTLY = 0.5
-"""The same for a channel's fault that was there when a law was found to be believed."""
+"""Part of what the base leaves beside a law to which a channel's fault, that was off when the law was found, must bring
+it down to be believed."""
 
 
 def strained(found: NonlinearAnswer) -> bool:

@@ -257,14 +257,14 @@ class _Whole:
         return made
 
     def _unsprung(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
-        """The law without what its structure holds at the same place, from where both are."""
+        """The law without what its structure holds at the same place, from where both are; None where it cannot be."""
         last, wide = second.laws[-1].made, second.study.engine
         n = self.engine.theta0.size
         values = last.x[n : wide.theta0.size]
         made = without(self.engine, wide, last.x)
         base = made[0] if made is not None else nominal(self.engine, last.x[:n])
         forms = unsprung(second.laws, held_in(second), values, self._spots(), float(self.engine.band[0]))
-        return self._with(under.faults, self.engine, given=Given(forms, base, NOISY))
+        return self._with(under.faults, self.engine, given=Given(forms, base, NOISY)) if forms else None
 
     def _fast(self, under: Beneath) -> NonlinearAnswer | None:
         """Friction in the stead of what holds a place fast at the quietest level; None where nothing does."""

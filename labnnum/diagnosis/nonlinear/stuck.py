@@ -154,9 +154,9 @@ ONE_LIMIT = 0.1
 
 def unsprung(
     laws: Sequence[Tried], held: Sequence[Term], values: NDArray, spots: Sequence[Spot], lowest: float
-) -> tuple[tuple[Lead, ...], tuple[Lead, ...]]:
+) -> tuple[tuple[Lead, ...], ...]:
     """Laws that were found on a structure which holds mechanisms as laws of the structure alone: as they are, and with
-    the stiffness with which it holds their places on top.
+    the stiffness with which it holds their places on top. None where it does not move alone as one of them does.
 
     Parameters
     ----------
@@ -170,8 +170,11 @@ def unsprung(
     own = {(s.place, s.axis): s for s in spots}
     plain, stiffer = [], []
     for lead in leads_of(laws):
+        spot = own.get((lead.spot.place, lead.spot.axis.lstrip("-")))
+        if spot is None:
+            return ()
+        spot = replace(spot, axis=lead.spot.axis)
         one = lead.mechanism == "sliders" and lead.p[2] < ONE_LIMIT
-        spot = replace(own[lead.spot.place, lead.spot.axis.lstrip("-")], axis=lead.spot.axis)
         plain.append(replace(lead, spot=spot, mechanism="stick-slip" if one else lead.mechanism))
         p = lead.p.copy()
         p[0] += held_by(held, values, spot, lowest)
