@@ -13,13 +13,13 @@ from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
 from labnnum.nonlinear import Element
 
 SLIDERS = 8
-"""Sliders that stand for limits that are spread."""
+"""Sliders that stand for limits that are spread, where no other number is told; at most."""
 
 
 @final
 @dataclass(frozen=True)
 class StickSlip(NonlinearMechanism):
-    """f = k_t (z - z_s), |f| <= F_s; with a `spread` many such sliders side by side, k_t and F_s of all together.
+    """f = k_t (z - z_s), |f| <= F_s; with a `spread` several such `sliders` side by side, k_t and F_s of all together.
 
     Their limits are spread evenly over the mean one times 1 - spread to 1 + spread (Iwan 1966), so that they let go one
     after the other.
@@ -32,17 +32,18 @@ class StickSlip(NonlinearMechanism):
     told_apart = "coulomb-friction has no elastic part; hysteresis yields gradually"
     symbol = "spring and slider"
     reference = "Iwan (1966)"
-    names = ("k_t", "F_s", "spread")
-    units = ("N/m", "N", "1")
+    names = ("k_t", "F_s", "spread", "sliders")
+    units = ("N/m", "N", "1", "1")
     positive = True
     sides = False
-    defaults: ClassVar[dict[str, float]] = {"spread": 0.0}
+    defaults: ClassVar[dict[str, float]] = {"spread": 0.0, "sliders": SLIDERS}
 
     def elements(self, term: Term, p: Sequence[float]) -> tuple[Element, ...]:
         """One slider, or one for each part of the spread."""
-        k, force, spread = (*p, 0.0)[:3]
+        k, force, spread, many = (*p, *(0.0, SLIDERS)[len(p) - 2 :])
         column = np.asarray(term.data["column"], float)
         if spread == 0.0:
             return (Element("jenkins", column, (float(k), float(force))),)
-        odds = 1.0 + spread * (2.0 * np.arange(SLIDERS) + 1.0 - SLIDERS) / SLIDERS
-        return tuple(Element("jenkins", column, (k / SLIDERS, force / SLIDERS * float(o))) for o in odds)
+        n = int(many)
+        odds = 1.0 + spread * (2.0 * np.arange(n) + 1.0 - n) / n
+        return tuple(Element("jenkins", column, (k / n, force / n * float(o))) for o in odds)

@@ -10,6 +10,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear import study
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.effort import LONG, STEP, UNIT, counted, marched, spent
+from labnnum.diagnosis.nonlinear.fitting import calmed
 from labnnum.diagnosis.nonlinear.follow import along, marched_from
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
@@ -167,3 +168,26 @@ def test_places_are_compared_in_step_where_any_that_comes_near_is(monkeypatch, r
         found = study.simulated(None, [tried("here", 180.0), tried("next", 190.0)])
     assert asked == (["here"] if again else [])
     assert found[0].spot.place == ("here" if again else "next")
+
+
+def test_a_march_whose_correction_grows_is_marched_more_finely():
+    """Hysteresis four times as stiff as the chain in noise: with the usual steps the forces change by more from march
+    to march, and what they leave is no objective.
+    """
+    loop = Element("bouc-wen", joint_23(), (4000.0, 25.0, 25.0, 1.0))
+    run = stretch_of(recorded(noise(25.0), [loop], chain(LIGHT)), 1000, 7144)
+    engine = Engine(chain(LIGHT), OUTPUTS, (FORCE,), (2 * np.pi * 0.3, 2 * np.pi * 12))
+    every = spots(engine, engine.site(("1", "2", "3", "4"), (("1", "2"), ("2", "3"), ("3", "4")), ()))
+    spot = next(s for s in every if {s.place.id, s.place.to} == {"2", "3"})
+    lead = Lead(spot, "hysteresis", np.array([4000.0, 0.02, 1.0, 0.5, *np.zeros(N_P - 4)]), 0.0)
+    joint = Bench(engine, engine.start(), (run,), Scatter(), ()).on(350).joint([lead])
+    x, fine = joint.start(), joint.steady[0].fine
+    usual = joint.settle(x, [None], 8)
+    assert joint.restless(usual) and joint.settle(x, usual, 8)[0].closing > usual[0].closing
+    settled = calmed(joint, x, usual)
+    assert joint.steady[0].fine == 2 * fine and not joint.restless(settled)
+    assert settled[0].closing < 0.05 * usual[0].closing
+    assert [t.steps > 0 for t in joint.terms] == [True]  # what is fitted on from here takes as many
+    while joint.refine():
+        pass
+    assert joint.steady[0].fine < 16 * fine

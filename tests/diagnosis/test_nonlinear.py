@@ -99,15 +99,16 @@ LAWS = [
     ("stick-slip", (400.0, 6.0), "jenkins", (400.0, 6.0), 5e-3),
     ("hysteresis", (400.0, 0.03, 2.0, 0.5), "bouc-wen", (400.0, 0.5 / 0.03**2, 0.5 / 0.03**2, 2.0), 5e-3),
     ("sliders", (400.0, 6.0, 0.7), "", (), 5e-3),
+    ("sliders", (400.0, 6.0, 0.6, 3.0), "", (), 5e-3),
 ]
 
 
-def spread_sliders(k, force, spread):
-    """What `stick-slip` with limits that are spread is to the bench."""
-    return StickSlip().elements(StickSlip().term(Place("joint", "2", "3"), "x", joint_23()), (k, force, spread))
+def spread_sliders(*p):
+    """What `stick-slip` with limits that are spread is to the bench: k_t, F_s, spread and, if not many, how many."""
+    return StickSlip().elements(StickSlip().term(Place("joint", "2", "3"), "x", joint_23()), p)
 
 
-@pytest.mark.parametrize(("law", "p", "other", "q", "close"), LAWS, ids=[row[0] for row in LAWS])
+@pytest.mark.parametrize(("law", "p", "other", "q", "close"), LAWS, ids=[f"{row[0]}-{len(row[1])}" for row in LAWS])
 def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
     structure, spectrum = chain(), multisine(25.0, 1)
     base, solver, parameters = steady(structure, spectrum, law, p)
@@ -133,6 +134,7 @@ def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
         ("coulomb", (2.0,), chain),
         ("coulomb", (2.0,), seated),
         ("sliders", (400.0, 6.0, 0.7), chain),
+        ("sliders", (400.0, 6.0, 0.6, 3.0), chain),
     ],
 )
 def test_slopes_are_those_of_finite_steps(law, p, of):
@@ -141,6 +143,7 @@ def test_slopes_are_those_of_finite_steps(law, p, of):
     r = base.at(x)
     orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-9)
     _, _, dz, dg = base.derivatives(x, r)
+    p = p[:3]  # how many sliders there are has no slope
     vary = np.zeros((len(p), 1, 10))
     vary[np.arange(len(p)), 0, np.arange(len(p))] = 1.0
     _, slope = solver.slopes(r, parameters, orbit, (dz, dg), vary)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.bench import Bench, Study
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, of_fit
 from labnnum.diagnosis.nonlinear.bounds import frf_least, linear_least
 from labnnum.diagnosis.nonlinear.decision import lead_over
 from labnnum.diagnosis.nonlinear.discrete import feedback
@@ -14,6 +14,7 @@ from labnnum.diagnosis.nonlinear.explore import engine_start, looked
 from labnnum.diagnosis.nonlinear.fitting import GROUPS
 from labnnum.diagnosis.nonlinear.force import CODES, N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
+from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import Acting, _fine
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
@@ -33,6 +34,7 @@ from tests.diagnosis.test_nonlinear import (
     marched,
     multisine,
     runs,
+    spread_sliders,
     steady,
 )
 
@@ -183,3 +185,18 @@ def test_what_yields_bit_by_bit_is_asked_for_under_both_its_names():
     assert best.mechanism == "hysteresis"
     assert best.made.law(0)[0][0] == pytest.approx(800.0, rel=0.1)
     assert best.cost < 0.1 * min(t.cost for t in others)
+
+
+def test_few_sliders_are_counted_and_many_are_left_as_many():
+    for elements, told in ((spread_sliders(800.0, 3.2, 0.6, 3), 3), (spread_sliders(800.0, 3.2, 0.8), None)):
+        bench, _, every = bench_of(runs(elements, chain(), (1.0, 4.0, 12.0)))
+        spot = next(s for s in every if s.place.id == "2" and s.place.to == "3")
+        p = np.zeros(N_P)
+        p[:3] = 800.0, 3.2, 0.7
+        many = bench.direct((engine_start(bench.joint([])),), Lead(spot, "sliders", p, 0.0), 10, soften=False)
+        fewer = numbered(bench, many, 6)
+        assert (None if fewer is None else fewer.made.whole(0)[3]) == told
+        if fewer is not None:
+            done = bench.carry_on(fewer, 20)
+            assert of_fit(done).p[3] == told  # in every later fit too
+            assert done.made.law(0)[0] == pytest.approx([800.0, 3.2, 0.6], rel=0.03)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
-from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
@@ -207,10 +206,7 @@ def of_fits(one: Tried) -> list[Lead]:
     """The leads of all its laws with the parameters where its fit ended."""
     out = []
     for i, lead in enumerate((one.lead, *one.more)):
-        p, _ = one.made.law(i)
-        full = np.zeros(N_P)
-        full[: p.size] = p
-        out.append(replace(lead, p=full))
+        out.append(replace(lead, p=one.made.whole(i)))
     return out
 
 
@@ -231,8 +227,5 @@ def leads_of(laws: Sequence[Tried]) -> list[Lead]:
     last = laws[-1].made
     out = []
     for i, t in enumerate(laws):
-        p = np.zeros_like(t.lead.p)
-        value, _ = last.law(i)
-        p[: value.size] = value
-        out.append(replace(t.lead, p=p))
+        out.append(replace(t.lead, p=last.whole(i)))
     return out

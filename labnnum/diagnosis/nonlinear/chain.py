@@ -153,6 +153,10 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     have |= {(s.place, s.axis) for s in asked}
     reached = min([best, *made], key=lambda t: t.cost)
     bent = reached.made.prior_part > STRAINED * reached.made.n_base
+    if bent and reached.named and reached.simulated and reached.made.data_part < UNSURE * reached.made.count:
+        made += _straightened(found, reached, scatter)
+        reached = min([best, *made], key=lambda t: t.cost)
+        bent = reached.made.prior_part > STRAINED * reached.made.n_base
     if (
         reached.named
         and reached.simulated
@@ -167,6 +171,15 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     again, _ = looked(plain, reached.made.x, every)
     there = [q.spot for q in nearest(again) if (q.spot.place, q.spot.axis) not in have][:ANEW]
     return [*made, *at_places(found, reached, there, scatter)]
+
+
+def _straightened(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
+    """A law that leaves little, but for which the base bends, fitted again from the base of the quietest level; none
+    where that is no better.
+    """
+    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES)
+    again = bench.again(found.quiet.x[: one.made.bare], one, of_fit(one), LONG)
+    return [again] if again is not None and again.cost < one.cost else []
 
 
 def _unbent(found: Study, one: Tried, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:

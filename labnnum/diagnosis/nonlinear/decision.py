@@ -331,6 +331,8 @@ def _all_named(
             continue
         mechanism = MECHANISMS[t.name]
         value, std = last.law(i)
+        if t.mechanism == "sliders" and last.whole(i)[value.size]:  # how many they are is no matter of a fit
+            value, std = np.append(value, last.whole(i)[value.size]), np.append(std, 0.0)
         n = min(len(mechanism.names), value.size)
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
         term = replace(term, parameters=term.parameters[:n])

@@ -46,6 +46,10 @@ class Made:
         at = slice(first, first + self.terms[i].n)
         return self.x[at], np.sqrt(np.maximum(np.diag(self.covariance)[at], 0))
 
+    def whole(self, i: int) -> NDArray[np.float64]:
+        """All that says what the i-th law is, (N_P,)."""
+        return self.terms[i].held(self.law(i)[0])
+
 
 def fit(
     joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], *, steps: int = 10, tolerance: float = 1e-3,
@@ -59,7 +63,7 @@ def fit(
     joint.exact = always or (exact and joint.n_base <= EXACT)
     scale = joint.scale
     x, orbits, _ = _evened(joint, joint.begin(x), orbits)
-    orbits = joint.settle(x, orbits, 14)
+    orbits = calmed(joint, x, joint.settle(x, orbits, 14))
     damping, converged = 1e-3, False
     prior = (scale / joint.std) ** 2
     best: tuple[float, NDArray, Any, NDArray, NDArray] | None = None
@@ -87,6 +91,9 @@ def fit(
         x, orbits, less = _evened(joint, trial, found)
         if less:
             orbits = joint.settle(x, orbits, 8)
+        if joint.restless(orbits) and joint.refine():
+            orbits, best = joint.settle(x, orbits, 14), None  # what longer steps left tells nothing
+            continue
         gain = value - after + less
         if gain < max(tolerance * value, floor):
             stalled += 1
@@ -123,6 +130,13 @@ def fit(
         int(r.size),
         converged,
     )
+
+
+def calmed(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> Sequence[Orbit | None]:
+    """Steady states at `x`, with shorter steps where the march does not settle with those it has."""
+    while joint.restless(orbits) and joint.refine():
+        orbits = joint.settle(x, [None] * len(orbits), 14)
+    return orbits
 
 
 EVEN = 0.3

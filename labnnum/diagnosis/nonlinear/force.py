@@ -29,8 +29,9 @@ LAWS: dict[str, tuple[str, ...]] = {
   quadratic-damping c2 v |v|; stick-slip: a spring k_t in series with a slider that yields at F_s
 - hysteresis: k h, dh/dz = 1 - (b sign(v h) + 1 - b) |h / limit|^n
 - general: a smooth law without memory; see `labnnum.diagnosis.nonlinear.laws.general_basis`
-- sliders: `SLIDERS` sliders on equal springs side by side, k_t and F_s of all together, whose limits are spread evenly
-  over the mean one times 1 - spread to 1 + spread (Iwan 1966)
+- sliders: sliders on equal springs side by side, k_t and F_s of all together, whose limits are spread evenly over the
+  mean one times 1 - spread to 1 + spread (Iwan 1966); a fourth number, which no fit moves, says how many they are, and
+  zero stands for `SLIDERS`
 """
 
 CODES = {name: code for code, name in enumerate(LAWS)}
@@ -44,9 +45,22 @@ def remembered(codes: Iterable[int]) -> int:
 
 
 @njit(cache=True, inline="always")
+def count_of(p):  # pragma: no cover - compiled
+    """How many sliders stand side by side."""
+    return int(p[3]) if p[3] > 0.0 else SLIDERS
+
+
+@njit(cache=True, inline="always")
+def part_of(i, p):  # pragma: no cover - compiled
+    """Where the limit of slider i lies in the spread, in the middle of its part of it, from -1 to 1."""
+    n = count_of(p)
+    return (2.0 * i + 1.0 - n) / n
+
+
+@njit(cache=True, inline="always")
 def odds_of(i, p):  # pragma: no cover - compiled
-    """Limit of slider i, in the middle of its part of the spread, of the mean one."""
-    return 1.0 + p[2] * (2.0 * i + 1.0 - SLIDERS) / SLIDERS
+    """Limit of slider i, of the mean one."""
+    return 1.0 + p[2] * part_of(i, p)
 
 
 @njit(cache=True, inline="always")
@@ -59,19 +73,20 @@ def slips(i, z, p, memory):  # pragma: no cover - compiled
 def _slide(z, p, memory, lp):  # pragma: no cover - compiled
     """Opposing force of sliders side by side that stood at `memory`, and its slope to z; `lp` as in `law`."""
     force, slope = 0.0, 0.0
-    spring, mean = p[0] / SLIDERS, p[1] / SLIDERS
-    for i in range(SLIDERS):
+    n = count_of(p)
+    spring, mean = p[0] / n, p[1] / n
+    for i in range(n):
         odds = odds_of(i, p)
         trial, limit = spring * (z - memory[i]), mean * odds
         if abs(trial) > limit:
             s = 1.0 if trial > 0 else -1.0
             force += s * limit
-            lp[1] += s * odds / SLIDERS
-            lp[2] += s * mean * (2.0 * i + 1.0 - SLIDERS) / SLIDERS
+            lp[1] += s * odds / n
+            lp[2] += s * mean * part_of(i, p)
         else:
             force += trial
             slope += spring
-            lp[0] += (z - memory[i]) / SLIDERS
+            lp[0] += (z - memory[i]) / n
     return force, slope
 
 

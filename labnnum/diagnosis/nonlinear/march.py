@@ -11,10 +11,18 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from labnnum.diagnosis.nonlinear.force import hysteretic, law, odds_of, place_held, slips, solve_force
+from labnnum.diagnosis.nonlinear.force import (
+    count_of,
+    hysteretic,
+    law,
+    odds_of,
+    part_of,
+    place_held,
+    slips,
+    solve_force,
+)
 from labnnum.diagnosis.nonlinear.yielding import yields
 from labnnum.diagnosis.sums import eliminate
-from labnnum.mechanisms.stick_slip import SLIDERS
 
 BEYOND = 1e60
 """N; a force that is no number any more that could be squared."""
@@ -305,10 +313,11 @@ def march(
                     for t in range(nt):
                         rhs[e, t] -= p[e, 0] * (d[e, 1] * dmem[e, 1, t] - d[e, 0] * dmem[e, 0, t])
                 if code == 9:
-                    for i in range(SLIDERS):
+                    n = count_of(p[e])
+                    for i in range(n):
                         if not slips(i, motion[step, e, 0], p[e], memory[e]):
                             for t in range(nt):
-                                rhs[e, t] += p[e, 0] / SLIDERS * dmem[e, i, t]
+                                rhs[e, t] += p[e, 0] / n * dmem[e, i, t]
             for e in range(k):
                 if fz[e] > 1e29:  # dry friction holds its place
                     for o in range(k):
@@ -372,12 +381,12 @@ def march(
                         )  # fmt: skip
                         dmem[e, 0, t] = dz
                 elif code == 9 and p[e, 0] > 0.0:
-                    for i in range(SLIDERS):
+                    for i in range(count_of(p[e])):
                         if not slips(i, motion[step, e, 0], p[e], memory[e]):
                             continue
                         s = 1.0 if motion[step, e, 0] > memory[e, i] else -1.0
                         odds = odds_of(i, p[e])
-                        part = (2.0 * i + 1.0 - SLIDERS) / SLIDERS
+                        part = part_of(i, p[e])
                         for t in range(nt):
                             dz = dsee[e, 0, t]
                             for o in range(k):
@@ -406,7 +415,7 @@ def march(
                 memory[e, 1] = h
             elif code == 9 and p[e, 0] > 0.0:
                 z = motion[step, e, 0]
-                for i in range(SLIDERS):
+                for i in range(count_of(p[e])):
                     if slips(i, z, p[e], memory[e]):
                         memory[e, i] = z - np.sign(z - memory[e, i]) * p[e, 1] * odds_of(i, p[e]) / p[e, 0]
             f[e] = new[e]

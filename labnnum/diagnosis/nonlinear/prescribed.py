@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from labnnum.diagnosis.nonlinear.force import law, odds_of
-from labnnum.mechanisms.stick_slip import SLIDERS
+from labnnum.diagnosis.nonlinear.force import count_of, law, odds_of
 
 
 @njit(cache=True, nogil=True)
@@ -62,9 +61,10 @@ def along(code, z, v, p, turns):  # pragma: no cover - compiled
     if code == 9:
         out = np.zeros(z.size)
         one = np.empty(2)
-        for i in range(SLIDERS):
-            one[0] = p[0] / SLIDERS
-            one[1] = p[1] / SLIDERS * odds_of(i, p)
+        n = count_of(p)
+        for i in range(n):
+            one[0] = p[0] / n
+            one[1] = p[1] / n * odds_of(i, p)
             out += _slid(z, one, turns)
         return out
     n = z.size

@@ -54,8 +54,16 @@ class Acting:
 
     @property
     def n(self) -> int:
-        """Number of parameters."""
+        """Number of parameters that are fitted."""
         return len(self.shape.names)
+
+    def held(self, p: NDArray) -> NDArray[np.float64]:
+        """Those that are fitted, `p`, with what the law has beside them: the number of its sliders."""
+        out = np.zeros(N_P)
+        out[: self.n] = p
+        if self.mechanism == "sliders":
+            out[self.n] = self.start[self.n]
+        return out
 
 
 PASSIVE = 0.5
@@ -68,6 +76,9 @@ FREE = 0.3
 REMEMBERED = 100.0
 """Decay times of a mode in a stretch of noise, up to which what rings there from before it is fitted and not compared.
 Through the Hann window it is still a two-thousandth of the response after so many."""
+RESTLESS, MOST_STEPS = 0.05, 16.0
+"""Relative change of the forces from march to march above which a run that does not close is marched with half as long
+steps; and steps to a period of the highest excited line up to which that is done."""
 WARM = 3
 """Periods marched before Newton's method where nothing is known of the steady state."""
 
@@ -220,7 +231,7 @@ class Joint:
         out = np.zeros((self.k, N_P))
         at = self.n_base
         for i, t in enumerate(self.terms):
-            out[i, : t.n] = x[at : at + t.n]
+            out[i] = t.held(x[at : at + t.n])
             at += t.n
         return out
 
@@ -255,6 +266,23 @@ class Joint:
             return steady.settle(r, p, orbit, steps + warm, self.closing, warm)
 
         return each(settled, list(zip(self.runs, self.steady, orbits, strict=True)))
+
+    def restless(self, orbits: Sequence[Orbit | None]) -> bool:
+        """Whether the march of an open run or a hit still changes from one to the next, each corrected by the one
+        before: where a law is much stiffer than the structure and steps are long, the correction grows.
+        """
+        free = (o for r, o in zip(self.runs, orbits, strict=True) if o is not None and o.tie is None and not r.lasting)
+        return any(max(RESTLESS, self.closing) < o.closing < np.inf for o in free)
+
+    def refine(self) -> bool:
+        """March with half as long steps from now on; False where they are as short as they get."""
+        steps = 2 * max(s.fine * s.run.period / s.top for s in self.steady)
+        terms = tuple(replace(t, steps=steps) for t in self.terms)
+        finer = [Steady(r, self.codes, _fine(r, terms)) for r in self.runs]
+        if steps > MOST_STEPS or all(a.fine == b.fine for a, b in zip(finer, self.steady, strict=True)):
+            return False
+        self.terms, self.steady = terms, finer
+        return True
 
     def predict(self, x: NDArray, orbits: Sequence[Orbit | None]) -> list[NDArray[np.complex128]]:
         """Spectra of the responses, (n_out, n_lines) a run, on all lines if the objective is `whole`."""

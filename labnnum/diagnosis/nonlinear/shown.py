@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
 from labnnum.diagnosis.nonlinear.fitting import Made
-from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import force_along
 from labnnum.diagnosis.nonlinear.locate import Recovered, recover
 from labnnum.diagnosis.scatter import Scatter
@@ -42,18 +41,16 @@ def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter
     if seen is None:
         return ()
     sign = -1.0 if best.spot.axis.startswith("-") else 1.0
-    term, p = best.made.terms[0], best.made.law(0)[0]
+    term, p = best.made.terms[0], best.made.whole(0)
     same = [i for i, t in enumerate(() if last is None else last.terms) if t.mechanism == term.mechanism and
             abs(t.column @ term.column) > 0.999 * np.linalg.norm(t.column) * np.linalg.norm(term.column)]  # fmt: skip
     if last is not None and scatter is not None and same:
-        p, seen = last.law(same[0])[0], _beside(found, last, same[0], seen, scatter)
-    full = np.zeros(N_P)
-    full[: p.size] = p
+        p, seen = last.whole(same[0]), _beside(found, last, same[0], seen, scatter)
     out = []
     for i, (run, z, v, f) in enumerate(zip(found.runs, seen.z, seen.v, seen.f, strict=True)):
         rest = 0.0 if run.decay or last is None or not same else _rest(last, same[0], i)
         z = z + np.where(z == 0.0, 0.0, sign * rest)
-        law = force_along(term.shape, sign * z, sign * v, full) * sign
+        law = force_along(term.shape, sign * z, sign * v, p) * sign
         if not run.decay:
             f = f - np.where(f == 0.0, 0.0, np.mean(law[f != 0.0]) if np.any(f) else 0.0)
         heard = z.size if not run.decay else int(z.size * min(1.0, -np.log(HEARD) * run.rate / run.decay / run.period))

@@ -29,6 +29,7 @@ from labnnum.diagnosis.nonlinear.laws import SHAPES, general_basis
 from labnnum.diagnosis.nonlinear.leads import UNNAMED, general_lead
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.loosen import in_step, in_step_already, tied
+from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import KINKED, Joint, reduced, steps_of
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import rounded, spread
@@ -412,8 +413,17 @@ def yielding_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
     steps = steps_of([*best.made.terms, *(t.made.terms[0] for t in made if t is not None)])
     kin = [finely_carried(bench, t, steps) for t in made if t is not None and not _behind(t, best)]
     front = plainer(sorted([best, *kin], key=lambda t: t.cost))
+    front = [*counted(bench, front[0]), *front]
     dry = [t for t in front if t.mechanism == "coulomb-friction" and t.cost < PLAINER * front[0].cost]
     return dry or front
+
+
+def counted(bench: Bench, best: Tried) -> list[Tried]:
+    """Sliders whose limits are spread, if they leave more than noise, as so many as explain clearly more."""
+    if best.mechanism != "sliders" or best.made.data_part < ENOUGH * best.made.count:
+        return []
+    one = numbered(bench, best, BEGINNING)
+    return [] if one is None else [finely_carried(bench, one, steps_of(best.made.terms))]
 
 
 DRY = 0.05

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
-from labnnum.diagnosis.nonlinear.fitting import Made, fit
+from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
 from labnnum.diagnosis.nonlinear.lines import NEAR, Lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
+from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import KINKED, reduced
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.mechanisms.base import Place
@@ -117,12 +118,15 @@ def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
     """Laws fitted together from the base vector `x` and from where they are, with a tolerance that narrows; None where
     no steady state is found.
     """
-    t = slackened(bench, LADDER[1]).both(x, leads, STEPS)
+    t = slackened(bench, LADDER[1]).both(x, leads, SETTLED)
     if t is None:
         return None
     for slack in (*LADDER[2:], 0.0):
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
-        t = on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH)
+        before, t = t, on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH)
+        if t.made.data_part > UNFIT * t.made.count and before.made.data_part < UNFIT * before.made.count:
+            fewer = numbered(on, replace(t, made=replace(t.made, x=before.made.x)), STEPS)  # before the base bends
+            t = t if fewer is None else fewer
     return t
 
 
@@ -201,7 +205,7 @@ def left_by(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> float:
     joint = bench.joint(leads)
     start = joint.start(x)
     with np.errstate(all="ignore"):  # a law that pushes may go beyond all numbers
-        orbits = joint.settle(start, [None] * len(bench.runs), 8)
+        orbits = calmed(joint, start, joint.settle(start, [None] * len(bench.runs), 8))
         if any(o is None or not np.isfinite(o.closing) for o in orbits):
             return np.inf
         return reduced(*joint.parts(start, orbits))[0]
