@@ -183,9 +183,11 @@ def test_a_march_whose_correction_grows_is_marched_more_finely():
     joint = Bench(engine, engine.start(), (run,), Scatter(), ()).on(350).joint([lead])
     x, fine = joint.start(), joint.steady[0].fine
     usual = joint.settle(x, [None], 8)
-    assert joint.restless(usual) and joint.settle(x, usual, 8)[0].closing > usual[0].closing
+    assert joint.restless(usual)
+    assert joint.settle(x, usual, 8)[0].closing > usual[0].closing
     settled = calmed(joint, x, usual)
-    assert joint.steady[0].fine == 2 * fine and not joint.restless(settled)
+    assert joint.steady[0].fine == 2 * fine
+    assert not joint.restless(settled)
     assert settled[0].closing < 0.05 * usual[0].closing
     assert [t.steps > 0 for t in joint.terms] == [True]  # what is fitted on from here takes as many
     while joint.refine():
