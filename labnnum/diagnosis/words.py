@@ -50,7 +50,7 @@ def _found(d: Diagnosis) -> str:
     for n in d.named:
         sense = n.term.mechanism.sense(n.term, n.value)
         values = ", ".join(
-            f"{p.name} {v:.4g} ± {s:.2g} {p.unit if p.unit != '1' else ''}".strip()
+            f"{p.name} {v:.4g}{f' ± {s:.2g}' if s else ''} {p.unit if p.unit != '1' else ''}".strip()
             for p, v, s in zip(n.term.parameters, n.value, n.std, strict=True)
         )
         named = n.term.mechanism.id + (f" ({sense})" if sense else "")

@@ -7,7 +7,7 @@ import pytest
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear import effort
-from labnnum.diagnosis.nonlinear.beside import _ends
+from labnnum.diagnosis.nonlinear.beside import ends_of
 from labnnum.diagnosis.nonlinear.chain import twins
 from labnnum.diagnosis.nonlinear.effort import counted, marched, spent, tired
 from labnnum.diagnosis.nonlinear.fitting import _tried
@@ -83,4 +83,4 @@ def test_a_step_to_where_the_structure_is_none_is_a_step_too_far(where):
     ],
 )
 def test_a_mechanism_of_the_quietest_level_has_the_share_of_distortion_of_its_place(one, other, same):
-    assert (_ends(one) == _ends(other)) is same
+    assert (ends_of(one) == ends_of(other)) is same

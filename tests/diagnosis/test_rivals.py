@@ -68,6 +68,7 @@ def test_a_law_for_which_the_base_bends_far_is_tried_elsewhere_from_the_unbent_b
             return tried(int(spot.place.id), 40.0 if spot is SPOTS[1] else 900.0, "unbent")
 
     monkeypatch.setattr(chain, "Bench", lambda *args: SimpleNamespace(on=lambda lines: OnLines()))
+    monkeypatch.setattr(chain, "_straightened", lambda found, one, scatter: [])
     monkeypatch.setattr(chain, "in_step", lambda bench, spot, steps: bench.simulate(spot, steps))
     monkeypatch.setattr(chain, "of_fit", lambda one: one.lead)
     monkeypatch.setattr(chain, "twins", lambda found, spot, every: [])
@@ -117,6 +118,7 @@ def test_a_law_that_leaves_much_or_bends_the_base_is_simulated_where_its_force_w
     monkeypatch.setattr(chain, "Bench", lambda *args: SimpleNamespace(on=lambda lines: OnLines()))
     monkeypatch.setattr(chain, "of_fit", lambda one: one.lead)
     monkeypatch.setattr(chain, "twins", lambda found, spot, every: [])
+    monkeypatch.setattr(chain, "_straightened", lambda found, one, scatter: [])
     monkeypatch.setattr(chain, "as_well", lambda found, best, every, scatter: moved)
     monkeypatch.setattr(chain, "at_places", lambda found, best, spots, scatter: [])
     best = tried(0, left, "best", price)
@@ -130,6 +132,35 @@ def test_a_law_that_leaves_much_or_bends_the_base_is_simulated_where_its_force_w
     assert [i for _, i, _ in simulated] == asked
     assert all(begins == ("cal",) and p == float(i) for begins, i, p in simulated)
     assert [t.spot.place.id for t in made] == [i for i in asked if i != "2"]
+
+
+@pytest.mark.parametrize(("left", "price", "again"), [(80.0, 5.0, True), (80.0, 300.0, True), (120.0, 5.0, False)])
+def test_a_law_that_leaves_little_for_a_bent_base_is_fitted_again_from_the_calm_one(monkeypatch, left, price, again):
+    """And kept if that is better; elsewhere it is tried only if the base is bent still."""
+    begun = []
+
+    class OnLines:
+        def again(self, x, one, lead, steps):
+            begun.append((x, lead.spot.place.id))
+            return tried(0, left, "calm", price)
+
+    monkeypatch.setattr(chain, "Bench", lambda *args: SimpleNamespace(on=lambda lines: OnLines()))
+    monkeypatch.setattr(chain, "of_fit", lambda one: Lead(one.spot, "quadratic-damping", np.zeros(10), 1.0))
+    monkeypatch.setattr(chain, "twins", lambda found, spot, every: [])
+    monkeypatch.setattr(chain, "as_well", lambda found, best, every, scatter: [])
+    monkeypatch.setattr(chain, "at_places", lambda found, best, spots, scatter: [])
+    monkeypatch.setattr(chain, "_unbent", lambda found, one, every, scatter: [tried(4, 900.0, one.made.x)])
+    best = tried(0, 90.0, "best", 300.0)
+    quiet = SimpleNamespace(x="calm base and motions")
+    recovered = [SimpleNamespace(spot=SPOTS[0], gain=1.0)]
+    found = SimpleNamespace(
+        best=best, tried=[best], recovered=recovered, engine=None, point=None, runs=(), quiet=quiet
+    )  # fmt: skip
+    made = chain.rivals(found, SPOTS, None)
+    assert begun == [("cal", "0")]
+    assert [t.made.x for t in made if t.cost == left] == (["calm"] if again else [])
+    bent = [t.made.x for t in made if t.cost == 900.0]
+    assert bent == ([] if again and price < 30.0 else ["calm" if again else "best"])
 
 
 def test_a_follow_at_a_second_place_is_simulated_whatever_a_simulation_leaves_at_the_first():

@@ -85,7 +85,7 @@ def test_a_law_takes_the_stiffness_of_an_oscillator_at_its_place(engine, every):
     p = np.zeros(N_P)
     p[:4] = 200.0, 0.01, 1.0, 0.5
     lead = Lead(replace(under(there, "4"), axis="-" + under(there, "4").axis), "hysteresis", p, 0.0)
-    made = SimpleNamespace(law=lambda i: (p[:4], None))
+    made = SimpleNamespace(whole=lambda i: p)
     values = np.array([3.0, 1.0, 0.01])
     plain, stiffer = unsprung([SimpleNamespace(lead=lead, made=made)], [one], values, every, BAND[0])
     assert plain[0].p == pytest.approx(p)

@@ -113,7 +113,7 @@ def beneath(
         some = [linear]
     else:
         if shares:
-            law = [shares.get(_ends(t.place), 0.0) for t in found.terms]
+            law = [shares.get(ends_of(t.place), 0.0) for t in found.terms]
         else:
             law = _changes(engine, found, quiet.detail["selection"].scatter, loud)
         some = [[i] for i in sorted(linear, key=lambda i: law[i])]
@@ -189,12 +189,12 @@ def shares_of(
     x = calmed(engine, point, runs[i], scatter).x
     out: dict[frozenset, float] = {}
     for s in spots(engine, engine.site(places.nodes, places.elements, places.supports)):
-        ends = _ends(s.place)
+        ends = ends_of(s.place)
         out[ends] = max(out.get(ends, 0.0), recover(plain, x, point, s).share)
     return out
 
 
-def _ends(place: Place) -> frozenset:
+def ends_of(place: Place) -> frozenset:
     """The ends of a place: an element and the joint in it are the same, and so are a node and the ground under it."""
     return frozenset({place.id, place.to} - {None})
 

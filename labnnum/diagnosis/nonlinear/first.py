@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.answer import Given, answer, parts_of
@@ -18,6 +19,7 @@ from labnnum.diagnosis.nonlinear.beside import (
     beneath,
     channels_of,
     confirmed,
+    ends_of,
     finds_first,
     misled,
     quietest_of,
@@ -139,6 +141,23 @@ def nonlinear_first(
         return whole.beside(found)
 
 
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """The bench of the structure with what its quietest level shows, its base vector there, the base vector `base` of
+    the structure alone, the parameters `values` of what is held, and the runs.
+    """
+
+    bench: Bench
+    x: NDArray
+    base: NDArray
+    values: NDArray
+    parts: Split
+
+
+FOREMOST = 0.9
+"""Share of the distortion, of the foremost place's, from which a place is where it comes from."""
+
+
 @dataclass
 class _Whole:
     """The searches of one diagnosis and what they share; faults of channels that were found are off its runs."""
@@ -160,6 +179,8 @@ class _Whole:
     usable: list[Observation]
     faults: list[Fault] = field(default_factory=list)
     of_channels: tuple[Named, ...] = ()
+    shares: dict[frozenset, float] = field(default_factory=dict)
+    loose: NonlinearAnswer | None = None
 
     @property
     def signs(self) -> dict:
@@ -197,8 +218,11 @@ class _Whole:
         second: NonlinearAnswer | None = None
         if early and not sure:
             quiet, under = self._quiet()
-            fast = self._fast(under) if under is not None else None
-            if fast is not None and under is not None and explains(fast):
+            held = self._held(under) if under is not None else None
+            fast = self._fast(under, held) if under is not None and held is not None else None
+            if under is not None and held is not None and not (fast is not None and explains(fast)):
+                fast = self.loose = self._slipping(under, held)
+            if fast is not None and explains(fast):
                 found, second, sure = None, fast, True
             elif under is not None:
                 second = self._above(under)
@@ -234,8 +258,8 @@ class _Whole:
         """The linear search on the quietest level alone, and what of it goes into the model."""
         self.progress("searching for linear physics at the quietest level")
         quiet = self.again(quietest_of(self.usable, self.train), depth=2, hint=True)
-        shares = shares_of(self.engine, self.train, self.places, self.scatter, self.band)
-        return quiet, beneath(self.engine, quiet, max(self.usable, key=lambda o: o.level), shares)
+        self.shares = shares_of(self.engine, self.train, self.places, self.scatter, self.band)
+        return quiet, beneath(self.engine, quiet, max(self.usable, key=lambda o: o.level), self.shares)
 
     def _above(self, under: Beneath) -> NonlinearAnswer | None:
         """What the law is with linear physics of the quietest level in the model, and faults of channels off."""
@@ -266,23 +290,41 @@ class _Whole:
         forms = unsprung(second.laws, held_in(second), values, self._spots(), float(self.engine.band[0]))
         return self._with(under.faults, self.engine, given=Given(forms, base, NOISY)) if forms else None
 
-    def _fast(self, under: Beneath) -> NonlinearAnswer | None:
-        """Friction in the stead of what holds a place fast at the quietest level; None where nothing does."""
+    def _held(self, under: Beneath) -> _Held | None:
+        """The base of the quietest level beside what its structure holds there; None where it holds nothing, or moves
+        otherwise.
+        """
         wide = under.engines[0]
         parts = self._parts(wide, under) if held_of(wide) else None
         if parts is None:
             return None
-        bench, every = self._plain(parts)
-        i = quietest(bench.runs)
+        runs = tuple(o.run for o in parts.train if o.run is not None)
+        i = quietest(runs)
         point = base_point(wide, parts.train[i], self.scatter, self.band)
-        base = without(self.engine, wide, calmed(wide, point, bench.runs[i], self.scatter).x)
-        if base is None:
-            return None
-        forms = held_fast(bench, base[0], held_of(wide), every)
+        x = calmed(wide, point, runs[i], self.scatter).x
+        base = without(self.engine, wide, x)
+        return None if base is None else _Held(Bench(wide, point, runs, self.scatter, ()), x, *base, parts)
+
+    def _fast(self, under: Beneath, held: _Held) -> NonlinearAnswer | None:
+        """Friction in the stead of what holds a place fast at the quietest level; None where nothing does."""
+        bench, every = self._plain(held.parts)
+        forms = held_fast(bench, held.base, held_of(held.bench.engine), every)
         if not forms:
             return None
         self.progress("seeking friction where something holds fast")
-        return self._with(under.faults, self.engine, given=Given(forms, base[0], NOISY))
+        return self._with(under.faults, self.engine, given=Given(forms, held.base, NOISY))
+
+    def _slipping(self, under: Beneath, held: _Held) -> NonlinearAnswer | None:
+        """Sliders in the stead of springs of the quietest level that hold where the distortion comes from; None where
+        there is no such spring.
+        """
+        sliders = sticking(held.bench, held.x, self._spots(), held_of(held.bench.engine), held.values)
+        most = max(self.shares.values(), default=0.0)
+        sliders = [s for s in sliders if self.shares.get(ends_of(s[0].spot.place), 0.0) >= FOREMOST * most > 0]
+        if not sliders:
+            return None
+        self.progress("letting a spring of the quietest level slip")
+        return self._with(under.faults, self.engine, given=Given(let_go(sliders), held.base, NOISY))
 
     def _let_go(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
         """The law on the structure alone if each spring of the quietest level is a slider that holds there, and, where
@@ -290,10 +332,11 @@ class _Whole:
         """
         study = second.study
         base = without(self.engine, study.engine, study.quiet.x)
-        sliders = [] if base is None else sticking(study, held_in(second), base[1], self.scatter)
+        bench, every = Bench(study.engine, study.point, study.runs, self.scatter, ()), [q.spot for q in study.recovered]
+        sliders = [] if base is None else sticking(bench, study.quiet.x, every, held_in(second), base[1])
         if base is None or not sliders:
             return None
-        loose = self._with(under.faults, self.engine, given=Given(let_go(sliders), base[0], NOISY))
+        loose = self.loose or self._with(under.faults, self.engine, given=Given(let_go(sliders), base[0], NOISY))
         if (loose is not None and loose.named) or study.quiet.data_part > MISLED * study.quiet.count:
             return loose
         parts = self._parts(self.engine, under)

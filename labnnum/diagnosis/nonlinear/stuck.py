@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
-from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, leads_of
+from labnnum.diagnosis.nonlinear.bench import Bench, Tried, leads_of
 from labnnum.diagnosis.nonlinear.fitting import reduced
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot, recover
@@ -96,27 +96,33 @@ MANY, APART = 0.4, 0.8
 a single one, and does not come back from there."""
 
 
-def sticking(study: Study, held: Sequence[Term], values: NDArray, scatter: Scatter) -> list[tuple[Lead, float]]:
+def sticking(
+    bench: Bench, x: NDArray, every: Sequence[Spot], held: Sequence[Term], values: NDArray
+) -> list[tuple[Lead, float]]:  # fmt: skip
     """Sliders that the springs may be which a structure holds because its quietest level shows them, without a limit,
     and the RMS of the motion of each at the highest level.
 
     Parameters
     ----------
+    x : ndarray
+        Base vector of the bench's engine at the quietest level.
+    every : sequence of Spot
+        Where a law may act.
     held : sequence of Term
-        What the structure of the study's engine holds.
+        What the structure of the bench's engine holds.
     values : ndarray
         Parameters of all of these, one after the other.
     """
-    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(COARSE)
-    high = int(np.argmax([r.level for r in study.runs]))
+    bench = bench.on(COARSE)
+    high = int(np.argmax([r.level for r in bench.runs]))
     out, at = [], 0
     for term in held:
         own = values[at : at + term.n]
         at += term.n
-        spot = spot_along(term, [q.spot for q in study.recovered])
+        spot = spot_along(term, every)
         if spot is None or own.size != 1 or own[0] <= 0 or not isinstance(term.sought.groups[0].law, Spring):
             continue
-        q = recover(bench.joint([]), study.quiet.x, study.point, spot)
+        q = recover(bench.joint([]), x, bench.point, spot)
         p = np.zeros(N_P)
         p[0] = own[0] * unit_of(term, spot)
         out.append((Lead(spot, "stick-slip", p, q.gain), float(np.std(q.z[high]))))
