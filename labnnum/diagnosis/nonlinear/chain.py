@@ -13,7 +13,7 @@ from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
 from labnnum.diagnosis.nonlinear.effort import spent, tired
 from labnnum.diagnosis.nonlinear.elsewhere import as_well
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
-from labnnum.diagnosis.nonlinear.explore import LINES, LONG, STRAINED, looked, nearest
+from labnnum.diagnosis.nonlinear.explore import LINES, LONG, MISLED, STRAINED, engine_start, looked, nearest
 from labnnum.diagnosis.nonlinear.further import GAIN, further, needed
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 from labnnum.diagnosis.nonlinear.loosen import in_step
@@ -174,11 +174,13 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
 
 
 def _straightened(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
-    """A law that leaves little, but for which the base bends, fitted again from the base of the quietest level; none
-    where that is no better.
+    """A law that leaves little, but for which the base bends, fitted again from the base of the quietest level, or from
+    the nominal one where that level is strongly nonlinear itself; none where that is no better.
     """
     bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES)
-    again = bench.again(found.quiet.x[: one.made.bare], one, of_fit(one), LONG)
+    misled = found.quiet.data_part > MISLED * found.quiet.count
+    calm = engine_start(bench.joint([])) if misled else found.quiet.x[: one.made.bare]
+    again = bench.again(calm, one, of_fit(one), LONG)
     return [again] if again is not None and again.cost < one.cost else []
 
 

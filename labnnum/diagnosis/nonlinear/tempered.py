@@ -25,6 +25,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import KINKED, reduced
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.mechanisms.base import Place
 
 LADDER = (0.3, 0.1, 0.03, 0.01)
@@ -54,6 +55,8 @@ FAR, BEHIND = 3.0, 10.0
 CLEAR = 0.2
 """Part of what the base alone leaves with the widest tolerance below which a law is the one: others are then fitted at
 its place only."""
+PAYS = 4.0
+"""Price of the base, of its entries, from which on a slider has bent it."""
 HOPEFUL = 0.35
 """Part of that above which no law is."""
 
@@ -103,7 +106,7 @@ def contest(
     wide = slackened(bench, ladder[0])
     begun = _begun(wide, x, _promising(bench, x, found, laws, leads, ladder[0]), CLEAR * alone.data_part)
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
-    near = nearest_of(near, CARRIED)
+    near = nearest_of([*near, *_softer(wide, x, near, CLEAR * alone.data_part)], CARRIED)
     if not near or near[0].cost > HOPEFUL * alone.objective:
         return []
     jumps = near[0].mechanism == "coulomb-friction"  # with coarse steps the next tolerance would bend its base
@@ -128,6 +131,20 @@ def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
             fewer = numbered(on, replace(t, made=replace(t.made, x=before.made.x)), STEPS)  # before the base bends
             t = t if fewer is None else fewer
     return t
+
+
+def _softer(wide: Bench, x: NDArray, near: Sequence[Tried], clear: float) -> list[Tried]:
+    """What yields bit by bit in the stead of a slider that comes nearest, if that leaves more than `clear` or bends the
+    base; each from the base vector `x`.
+    """
+    best = min(near, key=lambda t: t.cost, default=None)
+    if best is None or best.mechanism != "stick-slip":
+        return []
+    if best.made.data_part < clear and best.made.prior_part < PAYS * best.made.n_base:
+        return []
+    p = best.made.whole(0)
+    made = [wide.direct((x,), lead, STEPS, soften=False) for lead in (smooth_of(best.lead, p), spread_of(best.lead, p))]
+    return [wide.carry_on(t, SETTLED, last=False) for t in made if t is not None]
 
 
 def _begins(bench: Bench, x: NDArray) -> tuple[Sequence[float], Made | None]:
