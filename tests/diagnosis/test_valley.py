@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear import valley
 from labnnum.diagnosis.nonlinear.bench import Study, tried_fit
 from labnnum.diagnosis.nonlinear.decision import MECHANISMS
 from labnnum.diagnosis.nonlinear.fitting import promised
@@ -56,6 +57,19 @@ def test_at_the_bottom_nothing_is_promised(cubic):
     assert value == pytest.approx(one.made.objective, rel=1e-3)
     assert promise < PROMISE * one.made.data_part / one.made.count
     assert deepened(study_of(bench), one, bench.scatter) is one
+
+
+@pytest.mark.parametrize(("gains", "taken"), [((50.0, 40.0, 0.0), 2), ((50.0, 4.0, 50.0), 2), ((4.0, 50.0), 1)])
+def test_what_is_promised_at_the_bottom_is_roughness(cubic, monkeypatch, gains, taken):
+    """A round that gains less than is asked of a promise is the last; one that finds nothing gives nothing."""
+    bench, _, one = cubic
+    made = [one]
+    for gain in gains:
+        last = made[-1]
+        made.append(replace(last, made=replace(last.made, objective=last.made.objective - gain)))
+    left = iter([t if gain else None for t, gain in zip(made[1:], gains, strict=True)])
+    monkeypatch.setattr(valley, "_stepped", lambda bench, one: next(left))
+    assert deepened(study_of(bench), one, bench.scatter) is made[taken]
 
 
 def motions_of(joint, factor):

@@ -42,7 +42,10 @@ def deepened(study: Study, one: Tried, scatter: Scatter) -> Tried:
         ahead = _stepped(bench, one)
         if ahead is None:
             break
+        little = one.made.objective - ahead.made.objective < PROMISE * _excess(one)
         one = ahead
+        if little:  # the bottom of the valley, where what is promised is roughness
+            break
     return one
 
 
