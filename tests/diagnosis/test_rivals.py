@@ -135,29 +135,38 @@ def test_a_law_that_leaves_much_or_bends_the_base_is_simulated_where_its_force_w
 
 
 @pytest.mark.parametrize(("left", "price", "again"), [(80.0, 5.0, True), (80.0, 300.0, True), (120.0, 5.0, False)])
-def test_a_law_that_leaves_little_for_a_bent_base_is_fitted_again_from_the_calm_one(monkeypatch, left, price, again):
-    """And kept if that is better; elsewhere it is tried only if the base is bent still."""
+@pytest.mark.parametrize(("left_by_calm", "begins"), [(100.0, "cal"), (900.0, "nominal")])
+def test_a_law_that_leaves_little_for_a_bent_base_is_fitted_again_from_the_calm_one(
+    monkeypatch, left_by_calm, begins, left, price, again
+):
+    """From the nominal one where the quietest level is nonlinear itself; and kept if that is better. Elsewhere it is
+    tried only if the base is bent still.
+    """
     begun = []
 
     class OnLines:
+        def joint(self, terms):
+            return None
+
         def again(self, x, one, lead, steps):
             begun.append((x, lead.spot.place.id))
             return tried(0, left, "calm", price)
 
     monkeypatch.setattr(chain, "Bench", lambda *args: SimpleNamespace(on=lambda lines: OnLines()))
+    monkeypatch.setattr(chain, "engine_start", lambda joint: "nominal")
     monkeypatch.setattr(chain, "of_fit", lambda one: Lead(one.spot, "quadratic-damping", np.zeros(10), 1.0))
     monkeypatch.setattr(chain, "twins", lambda found, spot, every: [])
     monkeypatch.setattr(chain, "as_well", lambda found, best, every, scatter: [])
     monkeypatch.setattr(chain, "at_places", lambda found, best, spots, scatter: [])
     monkeypatch.setattr(chain, "_unbent", lambda found, one, every, scatter: [tried(4, 900.0, one.made.x)])
     best = tried(0, 90.0, "best", 300.0)
-    quiet = SimpleNamespace(x="calm base and motions")
+    quiet = SimpleNamespace(x="calm base and motions", data_part=left_by_calm, count=100)
     recovered = [SimpleNamespace(spot=SPOTS[0], gain=1.0)]
     found = SimpleNamespace(
         best=best, tried=[best], recovered=recovered, engine=None, point=None, runs=(), quiet=quiet
     )  # fmt: skip
     made = chain.rivals(found, SPOTS, None)
-    assert begun == [("cal", "0")]
+    assert begun == [(begins, "0")]
     assert [t.made.x for t in made if t.cost == left] == (["calm"] if again else [])
     bent = [t.made.x for t in made if t.cost == 900.0]
     assert bent == ([] if again and price < 30.0 else ["calm" if again else "best"])
