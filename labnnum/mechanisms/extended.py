@@ -355,6 +355,11 @@ def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any])
         if p.name not in values:
             raise ConfigError(f"mechanism {mechanism.id!r}: parameter {p.name!r} is missing; give its value")
         v = float(values[p.name]["value"])
+        least, most = getattr(mechanism, "whole", {}).get(p.name, (-np.inf, np.inf))
+        if np.isfinite(most) and not (v.is_integer() and least <= v <= most):
+            raise ConfigError(
+                f"mechanism {mechanism.id!r}: {p.name!r} is {v:g}; give a whole number, {least} to {most}"
+            )
         reach = max(0.3 * abs(v), 6 * float(values[p.name].get("std", 0.0)), 1e-12)
         low, high = max(p.lower, v - reach), min(p.upper, v + reach)
         suffix = place.id if place.to is None else f"{place.id}-{place.to}"

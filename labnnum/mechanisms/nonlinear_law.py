@@ -30,6 +30,8 @@ class NonlinearMechanism(Mechanism):
     """Whether the law differs for the two senses of the motion; variants "-x" stand for the reversed one."""
     defaults: ClassVar[dict[str, float]] = {}
     """Parameters that a model file may leave out, with their values there."""
+    whole: ClassVar[dict[str, tuple[int, int]]] = {}
+    """Parameters that are whole numbers, with the least and the largest."""
 
     def terms(self, site: Site) -> Iterable[Term]:
         """Each translation of each node against the ground, each motion of neighbours against each other."""

@@ -37,6 +37,7 @@ class StickSlip(NonlinearMechanism):
     positive = True
     sides = False
     defaults: ClassVar[dict[str, float]] = {"spread": 0.0, "sliders": SLIDERS}
+    whole: ClassVar[dict[str, tuple[int, int]]] = {"sliders": (1, SLIDERS)}
 
     def elements(self, term: Term, p: Sequence[float]) -> tuple[Element, ...]:
         """One slider, or one for each part of the spread."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from labnnum.errors import ConfigError
 from labnnum.nonlinear import LAWS
 from sessions.cli import app
 from sessions.model import read_model
@@ -119,3 +120,30 @@ def test_other_commands_read_it(folder):
     run("update", folder / "run.h5", "--updater", folder / "updater.h5")
     run("report", folder / "run.h5", "-o", folder / "report.html")
     assert (folder / "report.html").stat().st_size > 1000
+
+
+SLIDERS = """
+[[mechanism]]
+id = "stick-slip"
+variant = "x"
+place = { kind = "joint", id = "1", to = "2" }
+parameters = { k_t = 1e5, F_s = 0.1, spread = 0.8, sliders = %s }
+"""
+
+
+def test_sliders_of_a_file_are_as_many_as_it_says(tmp_path):
+    path = tmp_path / "model.toml"
+    path.write_text(MODEL + SLIDERS % "5")
+    law = read_model(path).structure.laws[0]
+    elements = law.term.mechanism.elements(law.term, [p.nominal for p in law.parameters])
+    assert [e.law for e in elements] == ["jenkins"] * 5
+    assert sum(e.parameters[0] for e in elements) == pytest.approx(1e5)
+    assert sum(e.parameters[1] for e in elements) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("many", ["0", "2.5", "9"])
+def test_a_number_of_sliders_that_cannot_be_is_refused(tmp_path, many):
+    path = tmp_path / "model.toml"
+    path.write_text(MODEL + SLIDERS % many)
+    with pytest.raises(ConfigError, match=f"'sliders' is {many}; give a whole number, 1 to 8"):
+        read_model(path)
