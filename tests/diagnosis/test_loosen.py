@@ -10,7 +10,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear import study
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.effort import LONG, STEP, UNIT, counted, marched, spent
-from labnnum.diagnosis.nonlinear.fitting import calmed
+from labnnum.diagnosis.nonlinear.fitting import calmed, fit
 from labnnum.diagnosis.nonlinear.follow import along, marched_from
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, spots
@@ -170,7 +170,7 @@ def test_places_are_compared_in_step_where_any_that_comes_near_is(monkeypatch, r
     assert found[0].spot.place == ("here" if again else "next")
 
 
-def test_a_march_whose_correction_grows_is_marched_more_finely():
+def test_a_march_whose_correction_grows_is_marched_more_finely(monkeypatch):
     """Hysteresis four times as stiff as the chain in noise: with the usual steps the forces change by more from march
     to march, and what they leave is no objective.
     """
@@ -180,7 +180,8 @@ def test_a_march_whose_correction_grows_is_marched_more_finely():
     every = spots(engine, engine.site(("1", "2", "3", "4"), (("1", "2"), ("2", "3"), ("3", "4")), ()))
     spot = next(s for s in every if {s.place.id, s.place.to} == {"2", "3"})
     lead = Lead(spot, "hysteresis", np.array([4000.0, 0.02, 1.0, 0.5, *np.zeros(N_P - 4)]), 0.0)
-    joint = Bench(engine, engine.start(), (run,), Scatter(), ()).on(350).joint([lead])
+    bench = Bench(engine, engine.start(), (run,), Scatter(), ()).on(350)
+    joint = bench.joint([lead])
     x, fine = joint.start(), joint.steady[0].fine
     usual = joint.settle(x, [None], 8)
     assert joint.restless(usual)
@@ -193,3 +194,8 @@ def test_a_march_whose_correction_grows_is_marched_more_finely():
     while joint.refine():
         pass
     assert joint.steady[0].fine < 16 * fine
+    again, told = bench.joint([lead]), iter((False, True))
+    monkeypatch.setattr(again, "restless", lambda orbits: next(told, False))
+    x[again.n_base] *= 0.8
+    assert fit(again, x, usual, steps=1).count > 0  # marched more finely after its last step a fit takes another
+    assert again.steady[0].fine == 2 * fine

@@ -69,7 +69,9 @@ def fit(
     best: tuple[float, NDArray, Any, NDArray, NDArray] | None = None
     reach = np.concatenate([_reach(joint), np.full(x.size - joint.n_base, 0.7)])
     stalled = 0
-    for _ in range(steps):
+    left = steps
+    while left > 0:
+        left -= 1
         try:
             jac, orbits = joint.slopes(x, orbits)
         except EstimationError:
@@ -93,6 +95,7 @@ def fit(
             orbits = joint.settle(x, orbits, 8)
         if joint.restless(orbits) and joint.refine():
             orbits, best = joint.settle(x, orbits, 14), None  # what longer steps left tells nothing
+            left = max(left, 1)
             continue
         gain = value - after + less
         if gain < max(tolerance * value, floor):
