@@ -8,11 +8,15 @@ import pytest
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.alike import distinct, others_of
+from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.detect import repeating
-from labnnum.diagnosis.nonlinear.locate import Spot, spots
+from labnnum.diagnosis.nonlinear.force import N_P
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.receptance import CORDS, SUSPENDED, Base, cords
+from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.words import summarise
 from labnnum.mechanisms.base import Place
+from labnnum.nonlinear import Element
 from labnnum.structures import Chain
 from labnnum.structures.chain import Link
 from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS, chain, joint_23, runs
@@ -83,25 +87,64 @@ def test_a_run_that_jumps_about_for_ever_is_left_out():
     assert repeating(two, two) == (two, two)  # one level alone would say nothing of a law
 
 
-def test_the_cords_of_a_floating_structure_are_entries_with_exact_slopes():
+def test_cords_and_hysteretic_damping_are_entries_with_exact_slopes():
     floats, stands = Engine(rod(1.0, ground=False), OUTPUTS, (FORCE,), BAND), Engine(chain(), OUTPUTS, (FORCE,), BAND)
     assert cords(stands) == 0
     omega = 2 * np.pi * np.linspace(0.02, 20.0, 60)
     base = Base(floats, floats.start(), np.array([joint_23(), np.eye(4)[1]]).T, omega, decay=0.3)
     x = base.start()
-    at = int(base.cuts[3])
-    x[at : at + 2] = -0.3, 0.2
+    share, at = (int(i) for i in base.cuts[3:5])
+    assert x[share] == 0.0  # the model's damping is viscous
+    x[[share, at, at + 1]] = 0.4, -0.3, 0.2
     here = base.at(x)
     assert here.omega[0] == pytest.approx(SUSPENDED * BAND[0] * np.exp(-0.3))
     assert here.zeta[0] == pytest.approx(CORDS * np.exp(0.2))
-    exact = base.derivatives(x, here)
-    for i in (at, at + 1):
-        step = 1e-6 * np.eye(x.size)[i]
-        up, down = base.at(x + step), base.at(x - step)
-        for name, slope in zip(("plain", "h", "z", "g"), exact, strict=True):
-            finite = (getattr(up, name) - getattr(down, name)) / 2e-6
-            assert np.linalg.norm(finite) > 1e-3 * np.linalg.norm(getattr(here, name)) or name == "h"
-            assert np.linalg.norm(slope[i] - finite) < 1e-5 * np.linalg.norm(getattr(here, name))
+    sized(base, x, at, True)
+    sized(base, x, at + 1, True)
+    sized(base, x, share, False)  # what begins at rest has none
+
+
+def sized(base, x, i, matters):
+    """Slopes to one entry are the finite steps', and these are something, or nothing."""
+    exact = base.derivatives(x, base.at(x))
+    step = 1e-6 * np.eye(x.size)[i]
+    here, up, down = base.at(x), base.at(x + step), base.at(x - step)
+    for name, slope in zip(("plain", "h", "z", "g"), exact, strict=True):
+        finite = (getattr(up, name) - getattr(down, name)) / 2e-6
+        assert bool(np.linalg.norm(finite) > 1e-6 * np.linalg.norm(getattr(here, name))) is matters or name == "h"
+        assert np.linalg.norm(slope[i] - finite) < 1e-5 * np.linalg.norm(getattr(here, name))
+
+
+@pytest.mark.parametrize("top", [12.0, 5.0])
+def test_hysteretic_damping_of_lasting_motion_has_exact_slopes(top):
+    """With modes that are kept, and with some that are flexibility."""
+    engine = Engine(rod(1.0, ground=False), OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * top))
+    omega = 2 * np.pi * np.linspace(0.02, 20.0, 60)
+    base = Base(engine, engine.start(), np.array([joint_23(), np.eye(4)[1]]).T, omega)
+    x = base.start()
+    share = int(base.cuts[3])
+    x[share] = 0.3
+    sized(base, x, share, True)
+    more = x.copy()
+    more[share] = 0.6
+    assert np.abs(base.at(more).plain - base.at(x).plain).max() > 0
+
+
+def test_a_share_of_hysteretic_damping_that_the_quietest_level_got_wrong_is_put_right():
+    """Of a viscous structure, at a level at which the law acts already: the share is the fit's, and is not held."""
+    made = [o.run for o in runs([Element("clearance", joint_23(), (500.0, 0.004))], chain())]
+    engine = Engine(chain(), OUTPUTS, (FORCE,), BAND)
+    bench = Bench(engine, replace(engine.start(), law=np.array([0.4])), tuple(made), Scatter(), ()).on(120)
+    p = np.zeros(N_P)
+    p[:2] = 480.0, 0.0042
+    lead = Lead(Spot(Place("joint", "2", "3"), "x", joint_23()), "clearance", p, 0.0)
+    joint = bench.joint([lead])
+    share = int(next(iter(joint.bases.values())).cuts[3])
+    assert joint.start()[share] == 0.4
+    found = bench.carry_on(bench.direct([joint.start()[: joint.n_base]], lead, 10), 20)
+    assert found.made.x[share] < 0.1
+    assert found.made.law(0)[0] == pytest.approx([500.0, 0.004], rel=0.02)
+    assert found.made.data_part < found.made.count
 
 
 def test_nothing_moves_before_a_blow_whatever_damping_a_misled_base_has():
@@ -115,7 +158,7 @@ def test_nothing_moves_before_a_blow_whatever_damping_a_misled_base_has():
     blow = np.exp(-(((time - 10.0) / 0.1) ** 2))
     column = np.eye(4)[[1]].T
     base, lasting = Base(floats, point, column, omega, decay), Base(floats, point, column, omega)
-    assert (base.hysteretic, lasting.hysteretic) == (0.0, 1.0)
+    assert base.start()[base.cuts[3]] == 1.0
     response = base.at(base.start()).z[0] * np.fft.rfft(blow * np.exp(-decay * time))
     z = np.abs(np.fft.irfft(response, n) * np.exp(decay * time))
     assert np.max(z[time < 9.0]) < 1e-3 * np.max(z)

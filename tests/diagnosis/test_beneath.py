@@ -99,7 +99,7 @@ def test_channels_that_are_exchanged_do_not_hide_a_law():
 
 def test_a_softer_joint_does_not_hide_a_law():
     links = [Link("1", "ground", "k1", 4.0), Link("1", "2", 1000.0, 4.0), Link("2", "3", 1000.0, 4.0)]
-    softer = Chain(chain().masses, (*links, Link("3", "4", 600.0, 4.0)), chain().parameters)
+    softer = Chain(chain().masses, (*links, Link("3", "4", 600.0, 2.4)), chain().parameters)
     found = diagnose(chain(), runs([CLEARANCE], softer))
     named = {n.term.mechanism.id: n for n in found.named}
     assert set(named) == {"clearance", "joint-stiffness"}, found.summary
@@ -110,7 +110,7 @@ def test_a_softer_joint_does_not_hide_a_law():
 def test_a_softer_joint_does_not_hide_a_slider_that_sticks():
     """At the quietest level both are joints that differ; the slider is the one that the loudest level would change."""
     links = [Link("1", "ground", "k1", 4.0), Link("1", "2", 1000.0, 4.0), Link("2", "3", 1000.0, 4.0)]
-    softer = Chain(chain().masses, (*links, Link("3", "4", 600.0, 4.0)), chain().parameters)
+    softer = Chain(chain().masses, (*links, Link("3", "4", 600.0, 2.4)), chain().parameters)
     found = diagnose(chain(), runs([Element("jenkins", joint_23(), (800.0, 3.0))], softer))
     named = {n.term.mechanism.id: n for n in found.named}
     assert set(named) == {"stick-slip", "joint-stiffness"}, found.summary

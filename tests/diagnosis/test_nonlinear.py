@@ -212,13 +212,16 @@ def test_the_part_of_dry_friction_solves_its_equation(before, free):
 
 
 def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3, sensors=(0, 1, 2)):
-    """Recordings of four periods at each level, two realisations, with noise relative to the lowest level's."""
+    """Recordings of four periods at each level, two realisations, with noise relative to the lowest level's.
+
+    Through the filter that keeps what lies above half the rate from folding back, as any digitiser has.
+    """
     out = []
     floor = None
     for level in levels:
         for realisation in range(2):
             spectrum = multisine(level, 10 * realisation + int(level))
-            y = marched(spectrum, elements, structure, fine=8)[:, ::8]
+            y = np.fft.irfft(lines_of(marched(spectrum, elements, structure, fine=64)) * PERIOD / 2, PERIOD)
             floor = noise * y.std(axis=1, keepdims=True) if floor is None else floor
             rng = np.random.default_rng(int(100 * level) + realisation)
             u = np.fft.irfft(spectrum * PERIOD / 2, PERIOD)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.receptance import cords
+from labnnum.diagnosis.nonlinear.receptance import cords, of_all
 
 
 def without(engine: Engine, wide: Engine, x: NDArray) -> tuple[NDArray, NDArray] | None:
@@ -23,10 +23,10 @@ def without(engine: Engine, wide: Engine, x: NDArray) -> tuple[NDArray, NDArray]
     modes = np.stack([np.zeros(own.size), np.log(engine.zeta0[own]), np.zeros(own.size)])
     modes[:, at] = x[more : more + 3 * there.size].reshape(3, -1)[:, where]
     hung = more + 3 * there.size
-    return np.concatenate([x[:n], modes.ravel(), x[hung : hung + cords(engine)]]), x[n:more]
+    return np.concatenate([x[:n], modes.ravel(), x[hung : hung + of_all(engine)]]), x[n:more]
 
 
 def nominal(engine: Engine, theta: NDArray) -> NDArray:
     """The base vector of an engine at parameters `theta`, all else nominal."""
     one = replace(engine.start(), theta=theta)
-    return np.concatenate([one.theta, one.shift, one.log_zeta, one.size, np.zeros(cords(engine))])
+    return np.concatenate([one.theta, one.shift, one.log_zeta, one.size, one.law[:1], np.zeros(cords(engine))])

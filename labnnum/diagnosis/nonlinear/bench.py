@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.orbit import CLOSED
-from labnnum.diagnosis.nonlinear.problem import Acting, Joint
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError, ModelError
@@ -164,10 +164,39 @@ class Bench:
         return tried_fit(joint, begin, [None] * len(self.runs), lead, steps, exact=False)
 
     def carry_on(self, one: Tried, steps: int, *, always: bool = False, last: bool = True) -> Tried:
-        """A simulated fit carried on, on other lines perhaps; with finer steps where it is the `last`."""
+        """A simulated fit carried on, on other lines perhaps; with finer steps where it is the `last`, and with still
+        finer ones where it leaves more than noise only because these are too long.
+        """
         terms = [replace(t, last=last) for t in one.made.terms]
+        made = self._carried(one, terms, steps, always)
+        while last and (finer := self._finer(made)) is not None:
+            made = self._carried(made, finer, steps, always)
+        return made
+
+    def _carried(self, one: Tried, terms: Sequence[Acting], steps: int, always: bool) -> Tried:
         joint = self.joint_of(terms)
         return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always, more=one.more) or one
+
+    def _finer(self, one: Tried) -> Sequence[Acting] | None:
+        """The laws with half as long steps of the march, where a fit leaves more than noise and these leave far less of
+        it, all else as it is.
+        """
+        made = one.made
+        if made.data_part < NOISY * made.count or not all(made.orbits):
+            return None
+        joint = self.joint_of(made.terms)
+        if not joint.refine(FINEST):
+            return None
+        try:
+            r, b = joint.parts(made.x, joint.settle(made.x, made.orbits, 8))
+        except EstimationError:
+            return None
+        return joint.terms if reduced(r, b)[0] < SHORTER * made.data_part else None
+
+
+NOISY, SHORTER, FINEST = 1.3, 0.8, 128.0
+"""Chi-square per value above which shorter steps are tried; part of it below which they must bring it; and how many to
+a period of the highest excited line are tried at most."""
 
 
 def tried_fit(

@@ -213,6 +213,7 @@ def engine_start(plain: Joint) -> NDArray[np.float64]:
     x = plain.start()
     x[:n], x[n : n + m], x[n + 2 * m : n + 3 * m] = plain.engine.theta0, 0.0, 0.0
     x[n + m : n + 2 * m] = np.log(plain.engine.zeta0[plain.engine.band_modes])
+    x[n + 3 * m] = plain.engine.start().law[0]
     return x
 
 

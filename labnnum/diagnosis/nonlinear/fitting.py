@@ -257,7 +257,7 @@ def _reach(joint: Joint) -> NDArray[np.float64]:
     m = e.band_modes.size
     first = np.array([p.upper - p.lower for p in e.structure.parameters])
     more = np.full(cords(e) + joint.k * (m + 1), 0.3)
-    return np.concatenate([first, np.full(m, 0.02), np.full(m, 0.7), np.full(m, 0.3), more])
+    return np.concatenate([first, np.full(m, 0.02), np.full(m, 0.7), np.full(m, 0.3), [np.inf], more])
 
 
 def _step(

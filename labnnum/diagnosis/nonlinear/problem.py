@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
-from labnnum.diagnosis.nonlinear.receptance import HANGS, Base, Receptance, cords, per_place
+from labnnum.diagnosis.nonlinear.receptance import HANGS, LOSSES, Base, Receptance, cords, of_all, per_place
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.objective import frequency_spread
@@ -121,10 +121,10 @@ class Joint:
         m = e.band_modes.size
         zeta0 = np.log(e.zeta0[e.band_modes])
         hung = cords(e)
-        self.mean = np.concatenate([e.theta0, np.zeros(m), zeta0, np.zeros(m), np.zeros(hung + self.k * (m + 1))])
+        self.mean = np.concatenate([e.theta0, np.zeros(m), zeta0, np.zeros(m), np.zeros(1 + hung + self.k * (m + 1))])
         self.std = np.concatenate(
             [[p.spread for p in parameters], frequency_spread(e, sc), np.full(m, sc.damping), np.full(m, sc.residue),
-             HANGS[:hung], self._motion_std()]
+             [LOSSES], HANGS[:hung], self._motion_std()]
         )  # fmt: skip
         mean, std = [], []
         for t in self.terms:
@@ -157,18 +157,19 @@ class Joint:
         top = 2 * np.pi * min(r.rate for r in self.runs) / 2
         far = np.flatnonzero(e.state(e.theta0).omega[e.band_modes] > top)
         n = e.theta0.size
-        last = n + 3 * m + cords(e)
+        last = n + 3 * m + of_all(e)
         return np.concatenate([n + far, n + m + far, *(last + i * (m + 1) + far for i in range(self.k))])
 
     def _bounds(self) -> None:
         e = self.engine
         m = e.band_modes.size
-        wide = [np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9), np.full(cords(e), SLACK)]
+        wide = [np.full(m, 0.5), np.full(m, 12.0), np.full(m, 0.9), [1.0], np.full(cords(e), SLACK)]
         wide = np.concatenate([*wide, np.full(self.k * (m + 1), 0.5)])
         low = np.concatenate([[p.lower for p in e.structure.parameters], -wide])
         high = np.concatenate([[p.upper for p in e.structure.parameters], wide])
         at = e.theta0.size + m
         high[at : at + m] = np.log(0.7)
+        low[at + 2 * m] = 0.0  # the share of hysteretic damping
         self._wide = low.copy(), high.copy()
         self._held = self._unseen() if self.k else np.zeros(0, int)
         low[self._held] = high[self._held] = self.x0[self._held]
@@ -274,12 +275,12 @@ class Joint:
         free = (o for r, o in zip(self.runs, orbits, strict=True) if o is not None and o.tie is None and not r.lasting)
         return any(max(RESTLESS, self.closing) < o.closing < np.inf for o in free)
 
-    def refine(self) -> bool:
-        """March with half as long steps from now on; False where they are as short as they get."""
+    def refine(self, most: float = MOST_STEPS) -> bool:
+        """March with half as long steps from now on; False where they are as short as they get, `most` to a period."""
         steps = 2 * max(s.fine * s.run.period / s.top for s in self.steady)
         terms = tuple(replace(t, steps=steps) for t in self.terms)
         finer = [Steady(r, self.codes, _fine(r, terms)) for r in self.runs]
-        if steps > MOST_STEPS or all(a.fine == b.fine for a, b in zip(finer, self.steady, strict=True)):
+        if steps > most or all(a.fine == b.fine for a, b in zip(finer, self.steady, strict=True)):
             return False
         self.terms, self.steady = terms, finer
         return True

@@ -23,6 +23,8 @@ steady state would close. A tenth changes its response at the lowest line by 1 %
 are fitted: friction against the ground feels the slow motion of the whole body most, and after a hit that is large."""
 HANGS = (0.5, 0.7)
 """Standard deviations of their logarithms."""
+LOSSES = 1.0
+"""Standard deviation of the share of the modal damping that is hysteretic, about the model's viscous one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,11 @@ def cords(engine: Engine) -> int:
     return len(HANGS) if engine.rigid_modes else 0
 
 
+def of_all(engine: Engine) -> int:
+    """Entries of the vector for what all modes share: the part of the damping that is hysteretic, and the cords."""
+    return 1 + cords(engine)
+
+
 class Base:
     """The base model at places `columns` (n, k), on lines s = decay + i omega (n_f,) of which the first may be zero.
 
@@ -130,9 +137,6 @@ class Base:
         order = MOTION_ORDER[e.inputs[0].quantity] if e.is_base else 2
         self.gain = np.where(some | (order == 2), safe ** (2 - order), 0.0) / e.sign_in[0]
         self.some, self.safe = some, safe
-        self.hysteretic = 0.0 if decay else float(point.law[0])
-        """Share of the damping that is hysteretic, but of cords, which have none; and none at all where a record begins
-        at rest: such damping answers before it is asked, and undoing the window of a hit would blow that up."""
 
     # ---------------------------------------------------------------- the vector
 
@@ -140,28 +144,42 @@ class Base:
         """The vector at the engine's point."""
         p = self.point
         more = cords(self.engine) + self.k * per_place(self.engine)
-        return np.concatenate([p.theta, p.shift, p.log_zeta, p.size, np.zeros(more)])
+        return np.concatenate([p.theta, p.shift, p.log_zeta, p.size, p.law[:1], np.zeros(more)])
 
     @property
     def cuts(self) -> NDArray[np.int64]:
-        """Where shift, log_zeta, size, cords and motion begin."""
+        """Where shift, log_zeta, size, the share of hysteretic damping, cords and motion begin."""
         n, m = self.point.theta.size, self.point.shift.size
-        return np.array([n, n + m, n + 2 * m, n + 3 * m, n + 3 * m + cords(self.engine)])
+        last = n + 3 * m + 1
+        return np.array([n, n + m, n + 2 * m, n + 3 * m, last, last + cords(self.engine)])
 
-    def _remainder(self, a: NDArray, b: NDArray, s: NDArray, soft: tuple[Soft, float]) -> NDArray:
+    def _hysteretic(self, share: NDArray) -> float:
+        """Share of the damping that is hysteretic, but of cords, which have none; and none at all where a record begins
+        at rest: such damping answers before it is asked, and undoing the window of a hit would blow that up.
+        """
+        return 0.0 if self.decay else float(share[0])
+
+    def _remainder(self, a: NDArray, b: NDArray, s: NDArray, soft: tuple[Soft, float, float]) -> NDArray:
         omega = np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf)
-        zeta, h = soft[1] * self.engine.high_zeta, self.hysteretic
+        zeta, h = soft[1] * self.engine.high_zeta, soft[2]
         square = np.real(s * s) if self.decay == 0.0 else s * s
         out = soft[0].between(a, b)[:, :, None] - ((a / omega**2) @ b.T)[:, :, None] * square
         out = out - ((a * (2.0 * (1.0 - h) * zeta / omega)) @ b.T)[:, :, None] * s
         return out - ((a * (2j * h * zeta)) @ b.T)[:, :, None] if h else out
+
+    def _lost(self, a: NDArray, b: NDArray, s: NDArray, common: float) -> NDArray:
+        """Derivative of the remainder to the share of hysteretic damping."""
+        omega = np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf)
+        zeta = common * self.engine.high_zeta
+        return ((a * (2.0 * zeta / omega)) @ b.T)[:, :, None] * s - ((a * (2j * zeta)) @ b.T)[:, :, None]
 
     # ---------------------------------------------------------------- values
 
     def at(self, x: NDArray) -> Receptance:
         """Receptances at the vector `x`."""
         e = self.engine
-        theta, shift, log_zeta, size, hung, motion = np.split(x, self.cuts)
+        theta, shift, log_zeta, size, share, hung, motion = np.split(x, self.cuts)
+        lost = self._hysteretic(share)
         st = e.state(theta)
         b = e.band_modes
         omega = st.omega.copy()
@@ -176,7 +194,7 @@ class Base:
         zeta[rigid] = CORDS * np.exp(hung[1:])
         # a lasting force on a rigid body has no response that lasts: of the mean it is left out
         least = RIGID * np.abs(self.s[1].imag)
-        d = modal(omega, zeta, self.hysteretic, self.decay, self.turn, least)
+        d = modal(omega, zeta, lost, self.decay, self.turn, least)
         d[rigid] = modal(omega[rigid], zeta[rigid], 0.0, self.decay, self.turn, least)
         load = st.load[:, 0].copy()
         load[b] += size * e.load_typical
@@ -184,7 +202,7 @@ class Base:
         motion = motion.reshape(self.k, per_place(e))
         w[:, b] += motion[:, :-1] * self.w_typical
         w[:, self.above] *= 1.0 + motion[:, -1:]
-        high_w, soft = self.high_w * (1.0 + motion[:, -1:]), (e.remainder.at(theta), common)
+        high_w, soft = self.high_w * (1.0 + motion[:, -1:]), (e.remainder.at(theta), common, lost)
         out, s = st.out, self.s[self.lines]
         here = d if self.lines.size == d.shape[1] else np.ascontiguousarray(d[:, self.lines])
         plain = combined(out.T * load, here)
@@ -229,26 +247,27 @@ class Base:
         self, x: NDArray, r: Receptance, d: NDArray, s: NDArray, wanted: tuple[bool, bool]
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
         e, b = self.engine, self.engine.band_modes
-        theta, shift, log_zeta, _, hung, motion = np.split(x, self.cuts)
+        theta, shift, log_zeta, _, lost, hung, motion = np.split(x, self.cuts)
         st = e.state(theta)
         sensors, places = wanted
         n_t, m_b, k, n_f = theta.size, b.size, self.k, s.size
         grown = 1.0 + motion.reshape(self.k, m_b + 1)[:, -1]
         n_o = len(e.outputs) if sensors else 0
-        last = n_t + 3 * m_b + hung.size
+        last = n_t + 3 * m_b + 1 + hung.size
         n, kp = last + k * (m_b + 1), k if places else 0
         dp = np.zeros((n, n_o, n_f), complex)
         dh = np.zeros((n, n_o, k, n_f), complex)
         dz = np.zeros((n, kp, n_f), complex)
         dg = np.zeros((n, kp, kp, n_f), complex)
-        share = np.full((r.omega.size, 1), self.hysteretic)
+        share = np.full((r.omega.size, 1), self._hysteretic(lost))
         share[: e.rigid_modes] = 0.0
         rate = (1 - share) * s + 1j * share * r.omega[:, None]
         square = d**2
         own, zeta = r.omega[:, None], r.zeta[:, None]
         by_omega = -square * (2 * own + 2j * share * zeta * own + 2 * zeta * rate)
         by_zeta = -square * (2 * (r.omega * r.zeta)[:, None] * rate)
-        soft, high_w = (e.remainder.at(theta), e.followed(log_zeta)), self.high_w * grown[:, None]
+        common, high_w = e.followed(log_zeta), self.high_w * grown[:, None]
+        soft = e.remainder.at(theta), common, self._hysteretic(lost)
         rests = [
             soft[0].changes(one, other)
             for one, other in (
@@ -303,7 +322,7 @@ class Base:
                     dg[row, a] += w[:, None] * one
                     dg[row, :, a] += w[:, None] * one
         rigid = slice(0, e.rigid_modes)
-        for row, dd in zip(range(at + 3 * m_b, last), (by_omega * r.omega[:, None], by_zeta), strict=False):
+        for row, dd in zip(range(at + 3 * m_b + 1, last), (by_omega * r.omega[:, None], by_zeta), strict=False):
             o, w, one = r.out[rigid].T, r.w[:, rigid], dd[rigid]
             if sensors:
                 dp[row] = (o * r.load[rigid]) @ one
@@ -312,6 +331,21 @@ class Base:
                 dz[row] = (w * r.load[rigid]) @ one
                 dg[row] = np.einsum("ar,cr,rf->acf", w, w, one)
         hi, high = self.above, bool(e.high.shape[1])
+        if not self.decay:
+            row, dd = at + 3 * m_b, -square * (2 * own * zeta * (1j * own - s))
+            dd[rigid] = 0.0
+            if sensors:
+                dp[row] = (r.out.T * r.load) @ dd
+                dh[row] = np.einsum("or,kr,rf->okf", r.out.T, r.w, dd)
+                if high:
+                    dp[row] += self._lost(self.high_out, self.high_load, s, common)[:, 0]
+                    dh[row] += self._lost(self.high_out, high_w, s, common)
+            if places:
+                dz[row] = (r.w * r.load) @ dd
+                dg[row] = np.einsum("ar,cr,rf->acf", r.w, r.w, dd)
+                if high:
+                    dz[row] += self._lost(high_w, self.high_load, s, common)[:, 0]
+                    dg[row] += self._lost(high_w, high_w, s, common)
         for a in range(k):
             row = last + a * (m_b + 1) + m_b
             one = (r.w[a, hi] / grown[a])[:, None] * d[hi]

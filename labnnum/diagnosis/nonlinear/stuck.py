@@ -70,7 +70,7 @@ def stuck(bench: Bench, quiet: int, found: Sequence[Recovered], most: int, steps
     for q in sorted(found, key=lambda q: -q.share)[:most]:
         k = -float(np.linalg.lstsq(np.stack([q.z[quiet], q.v[quiet]], axis=1), q.f[quiet], rcond=None)[0][0])
         point = beside_spring(bench.engine, data, q, k, bench.scatter).point
-        x = np.concatenate([point.theta, point.shift, point.log_zeta, point.size])
+        x = np.concatenate([point.theta, point.shift, point.log_zeta, point.size, point.law[:1]])
         force = float(np.sqrt(np.mean(q.f[high] ** 2)))
         motion = float(np.sqrt(np.mean((q.z[high] - np.mean(q.z[high])) ** 2)))
         limits = [force, 1.4 * force, *(f * point.terms[0] * motion for f in LIMITS)]

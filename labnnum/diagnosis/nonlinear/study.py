@@ -409,7 +409,7 @@ def yielding_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
         rounded(bench, best, BEGINNING) if best.mechanism != "hysteresis" and "hysteresis" not in far else None,
         spread(bench, best, BEGINNING) if best.mechanism != "sliders" and "sliders" not in far else None,
     ]
-    made.append(_dry(bench, best))
+    made += [_dry(bench, best), _single(bench, best)]
     steps = steps_of([*best.made.terms, *(t.made.terms[0] for t in made if t is not None)])
     kin = [finely_carried(bench, t, steps) for t in made if t is not None and not _behind(t, best)]
     front = plainer(sorted([best, *kin], key=lambda t: t.cost))
@@ -439,6 +439,20 @@ def _dry(bench: Bench, best: Tried) -> Tried | None:
         return None
     lead = Lead(best.spot, "coulomb-friction", np.eye(N_P)[0] * force, best.lead.gain)
     return bench.both(best.made.x[: best.made.bare], [lead], LONG)
+
+
+NARROW = 0.1
+"""Spread of sliders' limits below which one slider is tried in their place."""
+
+
+def _single(bench: Bench, best: Tried) -> Tried | None:
+    """One slider in place of many that let go at nearly the same force, with as fine steps."""
+    p = of_fit(best).p
+    if best.mechanism != "sliders" or p[2] > NARROW:
+        return None
+    lead = Lead(best.spot, "stick-slip", np.concatenate([p[:2], np.zeros(N_P - 2)]), best.lead.gain)
+    joint = bench.joint_of([replace(lead.acting(), last=True, steps=steps_of(best.made.terms))])
+    return tried_fit(joint, joint.start(best.made.x[: best.made.n_base]), [None] * len(bench.runs), lead, LONG)
 
 
 def _behind(t: Tried, best: Tried) -> bool:
