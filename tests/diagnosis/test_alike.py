@@ -12,6 +12,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.detect import repeating
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
+from labnnum.diagnosis.nonlinear.problem import SMOOTH_LAST
 from labnnum.diagnosis.nonlinear.receptance import CORDS, SUSPENDED, Base, cords
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.words import summarise
@@ -166,3 +167,22 @@ def test_nothing_moves_before_a_blow_whatever_damping_a_misled_base_has():
     rigid = lasting.at(lasting.start()).d[: floats.rigid_modes]
     cord = SUSPENDED * BAND[0]
     assert rigid == pytest.approx(np.tile(1 / (cord**2 + 2j * CORDS * cord * omega - omega**2), (1, 1)), rel=1e-9)
+
+
+@pytest.mark.parametrize(("stiffness", "shorter"), [(500.0, False), (4500.0, True)])
+def test_a_last_fit_that_leaves_more_than_noise_for_its_long_steps_takes_shorter_ones(stiffness, shorter):
+    """Of a stop that is harder than the structure; and not of a soft one, which leaves no more than noise."""
+    law = (stiffness, 0.004)
+    made = [o.run for o in runs([Element("clearance", joint_23(), law)], chain())][-2:]
+    engine = Engine(chain(), OUTPUTS, (FORCE,), BAND)
+    bench = Bench(engine, engine.start(), tuple(made), Scatter(), ()).on(120)
+    p = np.zeros(N_P)
+    p[:2] = law
+    lead = Lead(Spot(Place("joint", "2", "3"), "x", joint_23()), "clearance", p, 0.0)
+    one = bench.direct([bench.joint([]).start()], lead, 10)
+    coarse, last = (bench.carry_on(one, 20, last=last) for last in (False, True))
+    assert coarse.made.data_part > 5 * coarse.made.count
+    assert coarse.made.terms[0].steps == 0.0
+    assert bool(last.made.terms[0].steps > 2 * SMOOTH_LAST) is shorter
+    assert last.made.data_part < last.made.count
+    assert last.made.law(0)[0] == pytest.approx(law, rel=0.02)
