@@ -30,7 +30,7 @@ def test_a_law_outside_the_catalogue_is_located_and_not_named():
     step = 0.004
     stops = [Element("clearance", joint_23(), (2 * 5000.0 * step, (i + 0.5) * step)) for i in range(40)]
     structure = chain()
-    found = diagnose(structure, runs(stops, structure))
+    found = diagnose(structure, runs(stops, structure, levels=(2.0, 9.0), fine=16))
     assert found.verdict == "unexplained", found.summary
     assert str(found.place) == "joint 2-3"
     assert found.detail["reason"] == NAMELESS

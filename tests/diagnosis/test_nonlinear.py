@@ -211,7 +211,7 @@ def test_the_part_of_dry_friction_solves_its_equation(before, free):
     assert part_of_limit(-free, take, -before) == pytest.approx(-part)
 
 
-def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3, sensors=(0, 1, 2)):
+def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3, sensors=(0, 1, 2), fine=64):
     """Recordings of four periods at each level, two realisations, with noise relative to the lowest level's.
 
     Through the filter that keeps what lies above half the rate from folding back, as any digitiser has.
@@ -221,7 +221,7 @@ def runs(elements, structure, levels=(1.0, 3.0, 9.0), noise=1e-3, sensors=(0, 1,
     for level in levels:
         for realisation in range(2):
             spectrum = multisine(level, 10 * realisation + int(level))
-            y = np.fft.irfft(lines_of(marched(spectrum, elements, structure, fine=64)) * PERIOD / 2, PERIOD)
+            y = np.fft.irfft(lines_of(marched(spectrum, elements, structure, fine)) * PERIOD / 2, PERIOD)
             floor = noise * y.std(axis=1, keepdims=True) if floor is None else floor
             rng = np.random.default_rng(int(100 * level) + realisation)
             u = np.fft.irfft(spectrum * PERIOD / 2, PERIOD)

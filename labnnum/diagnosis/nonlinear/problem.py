@@ -20,6 +20,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.objective import frequency_spread
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.structures.modal import ModalStructure
 from labnnum.threads import each
 
 FINE_STEPS = 3.3
@@ -169,7 +170,10 @@ class Joint:
         high = np.concatenate([[p.upper for p in e.structure.parameters], wide])
         at = e.theta0.size + m
         high[at : at + m] = np.log(0.7)
-        low[at + 2 * m] = 0.0  # the share of hysteretic damping
+        share = at + 2 * m
+        low[share] = 0.0
+        if isinstance(e.structure, ModalStructure):  # what was identified at the quietest level is the base's own
+            low[share] = high[share] = self.mean[share] = self.x0[share]
         self._wide = low.copy(), high.copy()
         self._held = self._unseen() if self.k else np.zeros(0, int)
         low[self._held] = high[self._held] = self.x0[self._held]
