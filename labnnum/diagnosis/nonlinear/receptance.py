@@ -153,19 +153,19 @@ class Base:
         last = n + 3 * m + 1
         return np.array([n, n + m, n + 2 * m, n + 3 * m, last, last + cords(self.engine)])
 
-    def _hysteretic(self, share: NDArray) -> float:
+    def _hysteretic(self, part: NDArray) -> float:
         """Share of the damping that is hysteretic, but of cords, which have none; and none at all where a record begins
         at rest: such damping answers before it is asked, and undoing the window of a hit would blow that up.
         """
-        return 0.0 if self.decay else float(share[0])
+        return 0.0 if self.decay else float(part[0])
 
     def _remainder(self, a: NDArray, b: NDArray, s: NDArray, soft: tuple[Soft, float, float]) -> NDArray:
         omega = np.where(self.engine.high_omega > 0, self.engine.high_omega, np.inf)
         zeta, h = soft[1] * self.engine.high_zeta, soft[2]
         square = np.real(s * s) if self.decay == 0.0 else s * s
         out = soft[0].between(a, b)[:, :, None] - ((a / omega**2) @ b.T)[:, :, None] * square
-        out = out - ((a * (2.0 * (1.0 - h) * zeta / omega)) @ b.T)[:, :, None] * s
-        return out - ((a * (2j * h * zeta)) @ b.T)[:, :, None] if h else out
+        out = out - ((a * (2.0 * zeta / omega)) @ b.T)[:, :, None] * s
+        return out + h * self._lost(a, b, s, soft[1]) if h else out
 
     def _lost(self, a: NDArray, b: NDArray, s: NDArray, common: float) -> NDArray:
         """Derivative of the remainder to the share of hysteretic damping."""
@@ -178,8 +178,8 @@ class Base:
     def at(self, x: NDArray) -> Receptance:
         """Receptances at the vector `x`."""
         e = self.engine
-        theta, shift, log_zeta, size, share, hung, motion = np.split(x, self.cuts)
-        lost = self._hysteretic(share)
+        theta, shift, log_zeta, size, part, hung, motion = np.split(x, self.cuts)
+        lost = self._hysteretic(part)
         st = e.state(theta)
         b = e.band_modes
         omega = st.omega.copy()
@@ -247,7 +247,8 @@ class Base:
         self, x: NDArray, r: Receptance, d: NDArray, s: NDArray, wanted: tuple[bool, bool]
     ) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
         e, b = self.engine, self.engine.band_modes
-        theta, shift, log_zeta, _, lost, hung, motion = np.split(x, self.cuts)
+        theta, shift, log_zeta, _, part, hung, motion = np.split(x, self.cuts)
+        lost = self._hysteretic(part)
         st = e.state(theta)
         sensors, places = wanted
         n_t, m_b, k, n_f = theta.size, b.size, self.k, s.size
@@ -259,7 +260,7 @@ class Base:
         dh = np.zeros((n, n_o, k, n_f), complex)
         dz = np.zeros((n, kp, n_f), complex)
         dg = np.zeros((n, kp, kp, n_f), complex)
-        share = np.full((r.omega.size, 1), self._hysteretic(lost))
+        share = np.full((r.omega.size, 1), lost)
         share[: e.rigid_modes] = 0.0
         rate = (1 - share) * s + 1j * share * r.omega[:, None]
         square = d**2
@@ -267,7 +268,7 @@ class Base:
         by_omega = -square * (2 * own + 2j * share * zeta * own + 2 * zeta * rate)
         by_zeta = -square * (2 * (r.omega * r.zeta)[:, None] * rate)
         common, high_w = e.followed(log_zeta), self.high_w * grown[:, None]
-        soft = e.remainder.at(theta), common, self._hysteretic(lost)
+        soft = e.remainder.at(theta), common, lost
         rests = [
             soft[0].changes(one, other)
             for one, other in (
