@@ -35,6 +35,22 @@ if NO_QT:
         pytest.skip(f"Qt cannot be loaded: {NO_QT}")
 
 
+COMPILING = ("tests/test_prove", "tests/test_nonlinear", "tests/updating", "tests/test_demo", "tests/test_reproduce")
+"""Beginnings of the paths of tests that need what is compiled, beside those of the diagnosis."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first, and on another worker those that need nothing compiled: two that begin with the same function
+    compile it twice, and of long ones that come last one worker would do the last alone.
+    """
+
+    def turn(item: pytest.Item) -> int:
+        path = item.path.relative_to(ROOT).as_posix()
+        return 0 if path.startswith("tests/diagnosis") else 2 if path.startswith(COMPILING) else 1
+
+    items.sort(key=turn)
+
+
 @pytest.fixture(scope="session")
 def recordings() -> Path:
     """Folder of the real recordings; skips where it is absent."""

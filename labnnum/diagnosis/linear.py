@@ -280,8 +280,16 @@ def _beside(task: Task, base: Candidate, found: Sequence[Candidate]) -> Candidat
 
 
 def _anew(task: Task, c: Candidate) -> Candidate:
-    """A candidate fitted to the task's data under its errors."""
-    return task.priced(c.terms, fit(task.engine, task.data, c.terms, task.scatter, c.fit.point.vector(), steps=12))
+    """A candidate fitted to the task's data under its errors; from its broadened peaks where it explained the data and
+    does not from where it stood.
+    """
+    x = c.fit.point.vector()
+    made = fit(task.engine, task.data, c.terms, task.scatter, x, steps=12)
+    rungs = (1, 2, len(task.ladder) - 1)
+    if c.fit.data_part < 0.5 * made.data_part and not settled(made, task.data, task.limits):
+        others = [task.refined(task.down(c.terms, x, k), steps=12) for k in rungs]
+        made = min([made, *others], key=lambda f: f.objective)
+    return task.priced(c.terms, made)
 
 
 def _in_its_place(task: Task, found: Sequence[Candidate], first: Candidate) -> Candidate | None:
