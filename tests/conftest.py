@@ -1,6 +1,7 @@
 """Fixtures shared by all tests."""
 
 import os
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,12 @@ if NO_QT:
     def qtbot() -> None:
         """Skips: tests of the window need Qt."""
         pytest.skip(f"Qt cannot be loaded: {NO_QT}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+    """No file of tests is searched for examples in docstrings as well: that imports each of them twice."""
+    return [c for c in (yield) if type(c).__name__ != "DoctestModule"]
 
 
 COMPILING = ("tests/test_prove", "tests/test_nonlinear", "tests/updating", "tests/test_demo", "tests/test_reproduce")
