@@ -37,7 +37,7 @@ if NO_QT:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+def pytest_collect_file() -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
     """No file of tests is searched for examples in docstrings as well: that imports each of them twice."""
     return [c for c in (yield) if type(c).__name__ != "DoctestModule"]
 

@@ -221,14 +221,14 @@ def oracle(truths):
 
 def test_a_whole_suite_with_an_oracle_reaches_every_goal(tmp_path, monkeypatch):
     monkeypatch.setattr(visible, "NULLS", 3)
-    order = run.Order("linear", 10, 11, tmp_path, tool="oracle:diagnose")
+    order = run.Order("linear", 14, 11, tmp_path, tool="oracle:diagnose")
     tickets, sha256 = run.start(order)
     truths = {c["case"]: c for c in seal.unseal(tmp_path)["cases"]}
     monkeypatch.setattr(run, "load", lambda tool: oracle(truths))
-    run.diagnose_all(order, tickets[:6])
+    run.diagnose_all(order, tickets[:9])
     run.diagnose_all(order, tickets)
     found = run.score_all(order, tickets, sha256)
-    assert found["cases"] == 10
+    assert found["cases"] == 14
     assert [m["name"] for m in found["measures"] if m["reached"] is False] in (
         [],
         ["90 % intervals that hold the truth"],

@@ -279,16 +279,20 @@ def _beside(task: Task, base: Candidate, found: Sequence[Candidate]) -> Candidat
     return task.priced(base.terms, best)
 
 
+WORSE = 2.0
+"""How many times what it left before a fit leaves under sharper errors that has not found its way."""
+
+
 def _anew(task: Task, c: Candidate) -> Candidate:
-    """A candidate fitted to the task's data under its errors; from its broadened peaks where it explained the data and
-    does not from where it stood.
+    """A candidate fitted to the task's data under its errors; down the broadened peaks too where one that left little
+    leaves `WORSE` from where it stood.
     """
     x = c.fit.point.vector()
     made = fit(task.engine, task.data, c.terms, task.scatter, x, steps=12)
-    rungs = (1, 2, len(task.ladder) - 1)
-    if c.fit.data_part < 0.5 * made.data_part and not settled(made, task.data, task.limits):
-        others = [task.refined(task.down(c.terms, x, k), steps=12) for k in rungs]
-        made = min([made, *others], key=lambda f: f.objective)
+    worse = made.data_part > WORSE * c.fit.data_part and not settled(made, task.data, task.limits)
+    if worse and not far(c, task.data):
+        down = [task.refined(task.down(c.terms, x, rung)) for rung in (1, 2, len(task.ladder) - 1)]
+        made = min([made, *down], key=lambda f: f.objective)
     return task.priced(c.terms, made)
 
 

@@ -97,6 +97,16 @@ def test_channels_that_are_exchanged_do_not_hide_a_law():
     assert str(found.named[1].place) == "channel a1-a2"
 
 
+def test_a_softer_joint_does_not_hide_a_law():
+    links = [Link("1", "ground", "k1", 4.0), Link("1", "2", 1000.0, 4.0), Link("2", "3", 1000.0, 4.0)]
+    softer = Chain(chain().masses, (*links, Link("3", "4", 600.0, 2.4)), chain().parameters)
+    found = diagnose(chain(), runs([CLEARANCE], softer))
+    named = {n.term.mechanism.id: n for n in found.named}
+    assert set(named) == {"clearance", "joint-stiffness"}, found.summary
+    assert named["clearance"].value == pytest.approx([500.0, 0.004], rel=0.1)
+    assert named["joint-stiffness"].value[0] == pytest.approx(-0.4, abs=0.03)
+
+
 def test_a_softer_joint_does_not_hide_a_slider_that_sticks():
     """At the quietest level both are joints that differ; the slider is the one that the loudest level would change."""
     links = [Link("1", "ground", "k1", 4.0), Link("1", "2", 1000.0, 4.0), Link("2", "3", 1000.0, 4.0)]
@@ -139,3 +149,12 @@ def test_a_gain_that_the_errors_of_a_sound_model_excuse_is_named_beside_the_law(
     assert [n.term.mechanism.id for n in found.named] == ["cubic-stiffness", "channel-gain"], found.summary
     assert str(found.named[1].place) == "channel a2"
     assert found.named[1].value[0] == pytest.approx(-0.16, abs=0.03)
+
+
+def test_a_dead_channel_does_not_hide_a_law():
+    """Taking its fault off would leave no channel: it stays as it was recorded."""
+    dead = fault(ChannelGain(), (-0.9999,), channel=1)
+    found = diagnose(chain(), [mended(o, [dead], back=True) for o in runs([CUBIC], chain(), levels=(2.0, 9.0))])
+    assert found.named, found.summary
+    assert found.named[0].term.mechanism.id == "cubic-stiffness", found.summary
+    assert found.named[0].value == pytest.approx([2e4], rel=0.1)

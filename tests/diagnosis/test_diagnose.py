@@ -47,8 +47,8 @@ def heavier(tmp_path_factory):
     return folder, *diagnosed(folder, 2, "chain", "added-mass", 0.75)
 
 
-def as_concealed(truth, content):
-    """Whether an answer names the concealed fault at its place, with its parameter."""
+def names(truth, content):
+    """Asserts that an answer names the concealed fault at its place, with its parameter."""
     (concealed,) = truth["faults"]
     assert content["mechanism"]["id"] == concealed["mechanism"]
     assert content["place"]["id"] == concealed["place"]["id"]
@@ -56,22 +56,24 @@ def as_concealed(truth, content):
     assert fit["base"]["held_out"] > 3 * fit["extended"]["held_out"]
     (stated,) = content["mechanism"]["parameters"].values()
     (true,) = concealed["parameters"].values()
-    return abs(stated["value"] - true["value"]) < max(0.1 * abs(true["value"]), 4 * stated["std"])
+    assert abs(stated["value"] - true["value"]) < max(0.1 * abs(true["value"]), 4 * stated["std"])
 
 
 def test_a_mass_is_named_where_it_is(heavier):
     _, truth, content = heavier
     assert content["verdict"] == "missing-physics"
-    assert as_concealed(truth, content)
+    names(truth, content)
 
 
 def test_a_delay_is_named_in_its_channel(tmp_path):
     truth, content = diagnosed(tmp_path, 2, "chain", "channel-delay", 0.8)
     assert content["verdict"] == "measurement-fault"
-    assert as_concealed(truth, content)
+    names(truth, content)
 
 
-@pytest.mark.parametrize(("structure", "fault"), [("chain", "misplaced-sensor"), ("base-beam", "rocking-base")])
+@pytest.mark.parametrize(
+    ("structure", "fault"), [("chain", "misplaced-sensor"), ("base-beam", "rocking-base"), ("chain", "crosstalk")]
+)
 def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault):
     truth, content = diagnosed(tmp_path, 2, structure, fault, 0.9)
     (concealed,) = truth["faults"]
@@ -81,11 +83,15 @@ def test_what_has_no_name_is_located_and_not_named(tmp_path, structure, fault):
     assert same_place(content["located"][0]["place"], concealed)
 
 
-def test_a_spring_that_holds_a_free_body_is_named(tmp_path):
-    """The resonance that it makes of a rigid-body motion has no damping ratio of the structure's."""
-    truth, content = diagnosed(tmp_path, 3, "free-beam", "ground-stiffness", 0.8)
+@pytest.mark.parametrize(("seed", "alone"), [(2, False), (3, True)])
+def test_a_spring_that_holds_a_free_body_is_named(tmp_path, seed, alone):
+    """The resonance that it makes of a rigid-body motion has no damping ratio of the structure's.
+
+    Under the errors that the data support its fit must find its way again, or something else is named beside it.
+    """
+    truth, content = diagnosed(tmp_path, seed, "free-beam", "ground-stiffness", 0.8)
     assert content["mechanism"]["id"] == "ground-stiffness"
-    assert not content["further"]  # under the errors that the data support the fit must find its way again
+    assert not (alone and content["further"])
     assert same_place(content["place"], truth["faults"][0])
     (stated,) = content["mechanism"]["parameters"].values()
     assert stated["value"] == pytest.approx(truth["faults"][0]["parameters"]["k"]["value"], rel=0.03)
