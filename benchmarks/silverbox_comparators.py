@@ -162,7 +162,7 @@ def oscillate(y, v, u, h, powers, size):  # pragma: no cover - compiled
 
 def sparse(parts: list[tuple[NDArray, NDArray]]) -> Callable[[float], tuple[Model, int]]:
     """Threshold -> simulation of what PySINDy finds, and how many terms it keeps."""
-    import pysindy  # pyright: ignore[reportMissingImports]
+    import pysindy
 
     rows = [(*derivatives(y), derivatives(u)[0]) for u, y in parts]
     length, force = (np.sqrt(np.mean(np.concatenate([r[i] for r in rows]) ** 2)) for i in (0, 3))

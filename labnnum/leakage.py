@@ -142,8 +142,9 @@ class WindowView:
         """
         transient = bool(settings.get("transient") or settings.get("window_decay"))
         if transient:
-            hits = {"decay": float(settings.get("window_decay", 0.0)), "pretrigger": int(settings.get("pretrigger", 0))}
-            options = options | hits | {"transient": True}
+            options["decay"] = float(settings.get("window_decay", 0.0))
+            options["pretrigger"] = int(settings.get("pretrigger", 0))
+            options["transient"] = True
         return cls(settings["window"], settings["n_segment"], settings["rate"], lines=frequency, **options)
 
     @property
@@ -306,7 +307,7 @@ def seen_through(
         if lines is None:
             raise EstimationError("these settings do not smear, so the lines must be given")
         return np.asarray(function(np.asarray(lines, float)))
-    return view.apply(function(view.frequency))
+    return view.apply(np.asarray(function(view.frequency)))
 
 
 def modal_frf(poles: NDArray, residues: NDArray) -> Model:

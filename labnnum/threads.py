@@ -40,12 +40,12 @@ def each(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     threads; the first error in the order of the items is raised then. Pieces within pieces run one after the other.
     """
     if len(items) < 2 or threads() < 2 or getattr(_inside, "a_piece", False):
-        done = [_tried(work, item) for item in items]
+        done: list[Result | Exception] = [_tried(work, item) for item in items]
     else:
         pool = _made()
         asked = [pool.submit(copy_context().run, _piece, work, item) for item in items]
         done = [future.result() for future in asked]
-    return [_told(one) for one in done]
+    return [_told(one) for one in done]  # ty: ignore[invalid-explicit-return]
 
 
 def _made() -> ThreadPoolExecutor:

@@ -57,7 +57,7 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
         raise typer.Exit
 
 
-USAGE: type[Exception] = typer.BadParameter.__mro__[1]
+USAGE: type[Exception] = typer.BadParameter.__mro__[1]  # ty: ignore[invalid-assignment]
 """What is raised where the command line itself cannot be read."""
 
 NOT_THERE = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,7 +45,7 @@ class Devices:
 
 
 @contextmanager
-def devices(rig: Rig, item: Item, attempt: int = 0) -> Iterator[Devices]:
+def devices(rig: Rig, item: Item, attempt: int = 0) -> Generator[Devices]:
     """Open the rig's devices for `item`; on any exit the generator is switched off before anything else.
 
     `attempt` counts the hits of earlier runs of the item: a simulated hammer does not strike the same blows again.

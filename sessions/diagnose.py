@@ -185,7 +185,7 @@ def _updated(path: Path, model: Model, tables: dict[str, Any], theta: np.ndarray
             if slope in arrays and base in arrays:
                 arrays[base] = arrays[base] + (values[p.name] - p.nominal) * arrays[slope]
     name = f"{path.stem}.npz"
-    np.savez(path.parent / name, **arrays)  # pyright: ignore[reportArgumentType]
+    np.savez(path.parent / name, **arrays)  # ty: ignore[invalid-argument-type]
     return {**tables, "structure": {**tables["structure"], "file": name}}
 
 

@@ -47,7 +47,7 @@ def read_limits(rig: str | Path) -> tuple[Scatter, Limits]:
     return _build(path, Scatter, tables.get("scatter", {})), _build(path, Limits, tables.get("limits", {}))
 
 
-def _build(path: Path, kind: type, table: dict[str, Any]) -> Any:
+def _build(path: Path, kind: type[Scatter] | type[Limits], table: dict[str, Any]) -> Any:
     known = {f.name for f in fields(kind)} - COMPUTED
     table = {k: v for k, v in table.items() if k not in RETIRED}
     for key, value in table.items():
@@ -55,7 +55,8 @@ def _build(path: Path, kind: type, table: dict[str, Any]) -> Any:
             raise ConfigError(f"{path}: key {key!r} is unknown; there are {', '.join(sorted(known))}")
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise ConfigError(f"{path}: key {key!r} must be a number, not {value!r}")
-    return kind(**{k: float(v) for k, v in table.items()})
+    values: dict[str, Any] = {k: float(v) for k, v in table.items()}
+    return kind(**values)
 
 
 def write_limits(rig: str | Path, scatter: Scatter, limits: Limits, note: str) -> Path:

@@ -107,7 +107,7 @@ def _lock_byte(fd: int) -> None:
     import msvcrt
 
     os.lseek(fd, _FAR, os.SEEK_SET)
-    msvcrt.locking(fd, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    msvcrt.locking(fd, msvcrt.LK_NBLCK, 1)  # ty: ignore[missing-attribute]
 
 
 def _same_file(fd: int, path: Path) -> bool:

@@ -45,7 +45,7 @@ def read_matrix_file(path: Path) -> dict[str, NDArray]:
 def write_matrix_file(path: Path, arrays: Mapping[str, NDArray]) -> None:
     """An NPZ file that `read_matrix_file` reads back to the last bit."""
     with path.open("wb") as file:
-        np.savez(file, **dict(arrays))  # pyright: ignore[reportArgumentType]
+        np.savez(file, **dict[str, Any](arrays))
 
 
 def _npz(path: Path) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def parse_model(text: str, path: Path) -> Model:
         raise ConfigError(f"{path}: {where}{key} is no key; there are {', '.join(dict.fromkeys(known))}")
     raw = tomllib.loads(text)
     try:
-        structure = table.structure.build(table, path.parent)  # pyright: ignore[reportAttributeAccessIssue]
+        structure = table.structure.build(table, path.parent)  # ty: ignore[missing-attribute]
         bands = check_bands([b.build() for b in table.band]) if table.band else ()
         places = _places(table, structure)
         if table.mechanism:

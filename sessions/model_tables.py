@@ -194,7 +194,7 @@ class FrameSupport(Table):
     """One [[structure.support]] of a frame."""
 
     node: Text
-    fixed: tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...] = DIRECTIONS  # pyright: ignore[reportAssignmentType]
+    fixed: tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...] = DIRECTIONS
 
 
 class FrameSpring(Table):

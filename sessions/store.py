@@ -18,7 +18,7 @@ import io
 import os
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, final
@@ -181,7 +181,7 @@ class Session:
         return self._root[path]
 
     @contextlib.contextmanager
-    def transaction(self) -> Iterator[None]:
+    def transaction(self) -> Generator[None]:
         """What happens inside reaches the disk as a whole, or not at all."""
         with self.guard:
             if self._journal is None:
@@ -245,7 +245,7 @@ class Session:
     @property
     def runs(self) -> tuple[Run, ...]:
         """Every run, in order."""
-        return tuple(self._run(name) for name in sorted(self._root["runs"], key=int))
+        return tuple(self._run(name) for name in sorted(map(str, self._root["runs"]), key=int))
 
     def recordings(self) -> list[Recording]:
         """Every run that holds samples, as a Recording in SI units."""
@@ -443,7 +443,7 @@ def _open_plain(path: Path, patience: float = 5.0) -> Node:
 
 
 @contextlib.contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def _naming(path: Path) -> Generator[None]:
     """Turn what h5py says about damage into one line that names the file."""
     try:
         yield

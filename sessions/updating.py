@@ -103,7 +103,7 @@ def run_update(
     if updater is None and model is None:
         raise ConfigError("give --updater, or --model to fit from nominal values")
     read = None if model is None else read_model(model)
-    told = {"method": method, "updater": "" if updater is None else updater.name}
+    told: dict[str, Any] = {"method": method, "updater": "" if updater is None else updater.name}
     told |= {"model": "" if model is None else model.name, "prior": prior}
     if updater is None:
         assert read is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib import import_module
@@ -13,7 +13,7 @@ from labnnum.errors import ConfigError
 
 
 @contextmanager
-def executor(workers: int = 1, scheduler: str = "") -> Iterator[Executor | None]:
+def executor(workers: int = 1, scheduler: str = "") -> Generator[Executor | None]:
     """What computes blocks: None (this process), a pool of processes, or the cluster of a dask scheduler.
 
     Raises
@@ -41,7 +41,7 @@ def _one_thread() -> None:
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Executor]:
+def _cluster(address: str) -> Generator[Executor]:
     try:
         client_of = import_module("distributed").Client  # an extra, typed by nobody who has not installed it
     except ImportError:

@@ -454,7 +454,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs" / "models.md"
 BLOCKS = re.findall(r"```toml\n(.*?)```", DOCS.read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
-@pytest.mark.parametrize("text", BLOCKS, ids=[re.search(r'kind = "(\w+)"', b)[1] for b in BLOCKS])  # pyright: ignore
+@pytest.mark.parametrize("text", BLOCKS, ids=[re.search(r'kind = "(\w+)"', b)[1] for b in BLOCKS])
 def test_models_of_the_documentation_are_read_and_vibrate(text, tmp_path):
     s = parse_model(text, tmp_path / "model.toml").structure
     assert modes(s, s.nominal, 3).frequency[-1] > 0

@@ -100,7 +100,8 @@ def decide(
         ):
             verdict = "consistent"
     located = _located(selection)
-    noise = float(np.sqrt(np.mean(np.sum(test.variance, axis=2) / np.sum(np.abs(test.value) ** 2, axis=2))))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    assert test.variance is not None
+    noise = float(np.sqrt(np.mean(np.sum(test.variance, axis=2) / np.sum(np.abs(test.value) ** 2, axis=2))))
     if verdict == "consistent" and measured and base_error[1] > max(limits.sound, 3 * noise):
         verdict = "unexplained"
         reason = f"the updated model misses the data held out by {base_error[1]:.0%}, and nothing tried explains it"

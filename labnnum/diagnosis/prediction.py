@@ -49,7 +49,7 @@ def _sizes(frf: Frf) -> NDArray[np.float64]:
 
 def errors_of(engine: Engine, made: Fit, train: Frf, test: Frf) -> tuple[float, float]:
     """Relative errors of a fitted model on the training and on the held-out FRFs."""
-    return tuple(relative_error(f, predicted(engine, made, f)) for f in (train, test))  # type: ignore[return-value]
+    return relative_error(train, predicted(engine, made, train)), relative_error(test, predicted(engine, made, test))
 
 
 def foretold(engine: Engine, made: Fit, test: Frf, scatter: Scatter) -> float:

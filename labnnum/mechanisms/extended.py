@@ -92,7 +92,7 @@ class ExtendedStructure(Structure):
 
     def law_elements(self) -> tuple[Element, ...]:
         """The nonlinear laws as the time simulation takes them, at the values that the model file holds."""
-        made = (a.term.mechanism.elements(a.term, [p.nominal for p in a.parameters]) for a in self.laws)  # pyright: ignore[reportAttributeAccessIssue]
+        made = (a.term.mechanism.elements(a.term, [p.nominal for p in a.parameters]) for a in self.laws)  # ty: ignore[missing-attribute]
         return tuple(e for several in made for e in several)
 
     @cached_property
@@ -345,7 +345,8 @@ def extend(
 
 
 def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any]) -> Added:
-    place = Place(**{"kind": "global", "id": "structure", "to": None, **entry.get("place", {})})
+    where: dict[str, Any] = {"kind": "global", "id": "structure", "to": None, **entry.get("place", {})}
+    place = Place(**where)
     told = {**getattr(mechanism, "defaults", {}), **entry.get("parameters", {})}
     values = {k: (v if isinstance(v, Mapping) else {"value": v}) for k, v in told.items()}
     variant = str(entry.get("variant", ""))

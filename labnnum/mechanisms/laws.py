@@ -61,17 +61,17 @@ class Scaled(Law):
     factor: Any
 
     @property
-    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+    def names(self) -> tuple[str, ...]:  # ty: ignore[incompatible-property-override]
         """The law's."""
         return self.law.names
 
     @property
-    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+    def units(self) -> tuple[str, ...]:  # ty: ignore[incompatible-property-override]
         """The law's."""
         return self.law.units
 
     @property
-    def inertial(self) -> bool:  # type: ignore[override]
+    def inertial(self) -> bool:  # ty: ignore[incompatible-property-override]
         """The law's."""
         return self.law.inertial
 
@@ -320,7 +320,7 @@ class Release(Law):
     names: tuple[str, ...] = ("compliance",)
     units: tuple[str, ...] = ("m/N",)
     factor: Any = 1.0
-    inertial: bool = True  # type: ignore[misc]
+    inertial: bool = True
 
     def _left(self, s: NDArray, p: NDArray) -> NDArray:
         """(I + C Z)^-1, (n_f, d, d)."""

@@ -31,7 +31,7 @@ class GeneralLaw(Law):
     """g = sum c_b g_b(s / w0): 1, s, s^2, i, s^3, s^4 and relaxations, w0 the middle of the band in rad/s."""
 
     middle: float = 1.0
-    inertial: bool = False  # type: ignore[misc]
+    inertial: bool = False
     names: tuple[str, ...] = tuple(f"c{i}" for i in range(N_BASIS))
     units: tuple[str, ...] = ("N/m",) * N_BASIS
 
@@ -110,7 +110,7 @@ class FreeStiffness(Law):
 
     low: float = 1.0
     high: float = 2.0
-    inertial: bool = False  # type: ignore[misc]
+    inertial: bool = False
     names: tuple[str, ...] = tuple(f"c{i}" for i in range(N_BASIS + 2 * POLES))
     units: tuple[str, ...] = ("N/m",) * (N_BASIS + 2 * POLES)
 
@@ -166,7 +166,7 @@ class PairMatrix(Law):
     """Any 2 x 2 dynamic stiffness of the form K + C x + M x^2, x = s / w0, symmetric or not."""
 
     middle: float = 1.0
-    inertial: bool = False  # type: ignore[misc]
+    inertial: bool = False
     names: tuple[str, ...] = tuple(f"{kind}{i}{j}" for kind in "kcm" for i in (1, 2) for j in (1, 2))
     units: tuple[str, ...] = ("N/m",) * 12
 

@@ -120,11 +120,11 @@ class Beam(Structure):
     points: Mapping[str, float] = field(default_factory=dict)
     lumps: tuple[Lump, ...] = ()
     springs: tuple[Spring, ...] = ()
-    parameters: tuple[Parameter, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride]
+    parameters: tuple[Parameter, ...] = ()
     damping: Damping = field(default_factory=Damping)
     axis: str = "x"
     direction: str = "z"
-    base: str = ""  # pyright: ignore[reportIncompatibleMethodOverride]
+    base: str = ""
     mesh: str = ""
     spacing: tuple[float, ...] = ()
 

@@ -69,10 +69,10 @@ class Chain(Structure):
 
     masses: Mapping[str, Quantity]
     links: tuple[Link, ...]
-    parameters: tuple[Parameter, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride]
+    parameters: tuple[Parameter, ...] = ()
     damping: Damping = field(default_factory=Damping)
     direction: str = "x"
-    base: str = ""  # pyright: ignore[reportIncompatibleMethodOverride]
+    base: str = ""
     positions: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

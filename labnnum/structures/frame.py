@@ -192,9 +192,9 @@ class Frame(Structure):
     masses: tuple[JointMass, ...] = ()
     springs: tuple[JointSpring, ...] = ()
     plane: Plane = ""
-    parameters: tuple[Parameter, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride]
+    parameters: tuple[Parameter, ...] = ()
     damping: Damping = field(default_factory=Damping)
-    base: str = ""  # pyright: ignore[reportIncompatibleMethodOverride]
+    base: str = ""
 
     def __post_init__(self) -> None:
         for name in ("members", "masses", "springs", "parameters"):

@@ -58,9 +58,9 @@ class MatrixStructure(Structure):
     dM: Mapping[str, ArrayLike] = field(default_factory=dict)
     dK: Mapping[str, ArrayLike] = field(default_factory=dict)
     dC: Mapping[str, ArrayLike] = field(default_factory=dict)
-    parameters: tuple[Parameter, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride]
+    parameters: tuple[Parameter, ...] = ()
     damping: Damping = field(default_factory=Damping)
-    base: str = ""  # pyright: ignore[reportIncompatibleMethodOverride]
+    base: str = ""
     clamped: tuple[str, ...] = ()
     positions: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     pairs: tuple[tuple[str, str], ...] = ()

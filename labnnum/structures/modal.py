@@ -62,7 +62,7 @@ class ModalStructure(Structure):
 
     modes: tuple[Mode, ...]
     flexibility: Mapping[str, Quantity] = field(default_factory=dict)
-    parameters: tuple[Parameter, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride]
+    parameters: tuple[Parameter, ...] = ()
     positions: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     error: float = 0.0
 

@@ -20,5 +20,5 @@ def make_features(kind: str, bands: Sequence[Band], **settings: Any) -> Features
         if cls.kind == kind:
             if "scale" in settings:
                 settings["scale"] = tuple(settings["scale"])
-            return cls(check_bands(bands), **settings)  # type: ignore[call-arg]
+            return cls(check_bands(bands), **settings)  # ty: ignore[too-many-positional-arguments]
     raise ConfigError(f"features {kind!r} are not one of {', '.join(c.kind for c in FEATURES)}")

@@ -193,7 +193,7 @@ class _Search:
     def _elsewhere(self, problem: Problem) -> list[Minimum]:
         """What the best of some starts all over the bounds leads to."""
         low, high = problem.limits
-        unit = qmc.Sobol(low.size, seed=0).random_base2(3)[: self.restarts]  # pyright: ignore
+        unit = qmc.Sobol(low.size, seed=0).random_base2(3)[: self.restarts]
         tried = [self._approach(problem, low + u * (high - low), 15) for u in unit]
         return [self._final(problem, min(tried, key=lambda m: m.cost).x)]
 

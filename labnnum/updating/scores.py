@@ -123,5 +123,5 @@ class ScoreBands(Features):
 def references(parameters: Sequence[Parameter], count: int = REFERENCES) -> NDArray[np.float64]:
     """Parameter sets at which scores are taken: Sobol points that fill the bounds, shape (count, n_parameters)."""
     low, high = bounds(parameters)
-    sobol = qmc.Sobol(len(parameters), seed=3)  # pyright: ignore
+    sobol = qmc.Sobol(len(parameters), seed=3)
     return low + (high - low) * sobol.random_base2(int(np.ceil(np.log2(count))))[:count]

@@ -48,7 +48,7 @@ def draw(parameters: Sequence[Parameter], n: int, sampling: Sampling, seed: int,
     if n < 1:
         raise EstimationError(f"{n} samples cannot train a network: ask for some hundreds")
     if sampling == "sobol":
-        sobol = qmc.Sobol(len(parameters), seed=seed)  # pyright: ignore
+        sobol = qmc.Sobol(len(parameters), seed=seed)
         unit = sobol.random_base2(int(np.ceil(np.log2(max(n, 2)))))[:n]
     else:
         unit = np.random.default_rng(seed).random((n, len(parameters)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -53,7 +53,7 @@ def measure(
 
 
 @contextmanager
-def _orderly() -> Iterator[None]:
+def _orderly() -> Generator[None]:
     """A termination or a closed terminal ends the run like Ctrl-C does: the generator is switched off."""
 
     def stop(*_: object) -> None:

@@ -55,7 +55,7 @@ def plan(
     read = read_model(model)
     highest = top if top is not None else (100.0 if kind == "hammer" else 1.0)
     wishes = Wishes(
-        kind, purpose, low, high, rate, damping, error, coherence, highest, limit  # pyright: ignore[reportArgumentType]
+        kind, purpose, low, high, rate, damping, error, coherence, highest, limit  # ty: ignore[invalid-argument-type]
     )  # fmt: skip
     proposal = propose(read.structure, read.structure.nominal, read.bands, wishes)
     if as_json:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,7 +17,7 @@ def note(text: str) -> None:
 
 
 @contextmanager
-def bar(what: str) -> Iterator[Progress]:
+def bar(what: str) -> Generator[Progress]:
     """A progress bar on standard error, where that is a terminal."""
     from rich.console import Console
     from rich.progress import Progress as Bar

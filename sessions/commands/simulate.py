@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -139,7 +139,7 @@ def _check(
 
 
 @contextmanager
-def _no_remains(path: Path) -> Iterator[None]:
+def _no_remains(path: Path) -> Generator[None]:
     """What cannot be simulated leaves no file behind."""
     from labnnum.errors import LabnnumError
 

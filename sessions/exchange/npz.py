@@ -44,4 +44,4 @@ def _arrays(file: BinaryIO) -> dict[str, NDArray]:
 def write(path: Path, arrays: Mapping[str, NDArray], channels: str) -> None:
     """An NPZ file of arrays that carries its channels.toml; numbers to the last bit."""
     with path.open("wb") as file:
-        np.savez(file, **{**arrays, CHANNELS_KEY: np.array(channels)})  # pyright: ignore[reportArgumentType]
+        np.savez(file, **{**arrays, CHANNELS_KEY: np.array(channels)})  # ty: ignore[invalid-argument-type]

@@ -297,6 +297,6 @@ def _others(path: Path, kind: int) -> list[dict[str, Any]]:
 
     try:
         file = pyuff.UFF(str(path))
-        return [file.read_sets(i) for i, k in enumerate(file.get_set_types()) if k == kind]  # type: ignore[misc]
+        return [file.read_sets(i) for i, k in enumerate(file.get_set_types()) if k == kind]
     except Exception as error:
         raise FileError(f"{path}: dataset {kind} cannot be read ({error})") from error

@@ -25,7 +25,7 @@ def write_case(case: Case, folder: Path) -> list[Path]:
     (folder / "channels.toml").write_text(channels_toml(case), encoding="utf-8")
     (folder / "model.toml").write_text(model_toml(case), encoding="utf-8")
     if not case.native:
-        np.savez(folder / "structure.npz", **matrices(case.state.bench))  # pyright: ignore[reportArgumentType]
+        np.savez(folder / "structure.npz", **matrices(case.state.bench))  # ty: ignore[invalid-argument-type]
     return _write_frf(case, folder) if case.plan.excitation == "frf" else _write_runs(case, folder)
 
 
@@ -47,7 +47,7 @@ def _write_runs(case: Case, folder: Path) -> list[Path]:
             for name, row, (_, size) in zip(names, run.data, case.units, strict=True)
         }
         path = folder / f"case_run{i + 1:02d}.npz"
-        np.savez(path, **rows)  # pyright: ignore[reportArgumentType]
+        np.savez(path, **rows)
         paths.append(path)
     return paths
 

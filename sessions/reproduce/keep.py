@@ -52,8 +52,8 @@ def save_progress(folder: Path, name: str, effort: Effort, found: Progress) -> N
     path = _partial(folder, name)
     part = path.with_suffix(".tmp")
     with part.open("wb") as file:
-        rows = {f"rows:{n}": value for n, value in found.arrays().items()}
-        np.savez(file, key=np.array(key_of(name, effort)), done=np.array(found.done), **rows)  # pyright: ignore
+        rows: dict[str, Any] = {f"rows:{n}": value for n, value in found.arrays().items()}
+        np.savez(file, key=np.array(key_of(name, effort)), done=np.array(found.done), **rows)
     os.replace(part, path)
 
 

@@ -214,7 +214,7 @@ def write_starter(folder: Path, rig: str, structure: str, **values: Any) -> tupl
             if isinstance(content, str):
                 (folder / name).write_text(content, encoding="utf-8")
             else:
-                np.savez(folder / name, **content)  # pyright: ignore[reportArgumentType]
+                np.savez(folder / name, **content)  # ty: ignore[invalid-argument-type]
     except OSError as error:
         raise FileError(f"{folder}: cannot be written to ({error.strerror}); choose another folder") from error
     return tuple(folder / name for name in files)

@@ -111,7 +111,7 @@ def _with_mode(frequency, ratio):
     state = SimpleNamespace(omega=2 * np.pi * np.array([20.0, 50.0]))
     engine = SimpleNamespace(band_modes=np.arange(2), state=lambda theta, changes: state)
     task = SimpleNamespace(engine=engine, data=SimpleNamespace(s=2j * np.pi * np.linspace(5.0, 100.0, 50)))
-    return no_peak(task, SimpleNamespace(last=mode, fit=made))  # pyright: ignore[reportArgumentType]
+    return no_peak(task, SimpleNamespace(last=mode, fit=made))
 
 
 @pytest.mark.parametrize(

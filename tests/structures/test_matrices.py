@@ -78,7 +78,7 @@ def test_matrices_that_do_not_fit(more, said):
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: Damping("rayleigh"), "'rayleigh' is not one of"),  # pyright: ignore
+        (lambda: Damping("rayleigh"), "'rayleigh' is not one of"),
         (lambda: Damping("modal"), "needs ratio"),
         (lambda: proportional(-1.0), "alpha = -1.0"),
         (lambda: modal(float("nan")), "ratio = nan"),

@@ -4,7 +4,7 @@ when it has taken long does not depend on how fast it ran.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from threading import Lock
@@ -28,7 +28,7 @@ TWO = 10.0
 
 
 @contextmanager
-def counted() -> Iterator[None]:
+def counted() -> Generator[None]:
     """Counts from nothing while it lasts."""
     token = _spent.set([0])
     try:

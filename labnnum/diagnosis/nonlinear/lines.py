@@ -79,5 +79,5 @@ def choose_lines(run: Run, most: int = 0, floor: float = 0.003) -> Lines:
             on, off = inside[~run.telling[inside]], inside[run.telling[inside]]
         n_on = min(on.size, max(most // 2, most - off.size))
         pick = [np.sort(rng.choice(a, min(n, a.size), replace=False)) for a, n in ((on, n_on), (off, most - n_on))]
-        inside = np.sort(np.concatenate(pick))
+        inside = np.sort(np.concatenate(pick)).astype(int, copy=False)
     return Lines(inside, sigma[:, inside], run.open)
