@@ -235,6 +235,8 @@ class _Search:
         """The laws that the motions promise, fitted by simulation."""
         if given is not None and seen.near[0].more:
             return study_of(seen, list(seen.near), self.scatter, self.limits.further)
+        if seen.pairs and (two := self.both(seen, pairs=seen.pairs)) is not None:
+            return two
         return self.both(seen) if self.far(seen) else self.pursued(seen)
 
     def pursued(self, seen: Prospect) -> _Found | None:
@@ -242,6 +244,8 @@ class _Search:
         found = search(seen, self.progress, unsure=self.nearly > 0)
         if found is None:
             return None
+        if found.pairs and (two := self.both(seen, found.best, found.pairs)) is not None:
+            return two
         self.progress("comparing places and laws")
         tried = refined(found, self.scatter, rivals(found, self.every, self.scatter))
         if not tried:
@@ -259,9 +263,12 @@ class _Search:
             found, self.every, self.train, self.test, self.scatter, self.limits, self.progress, self.identified
         )  # fmt: skip
 
-    def both(self, seen: Prospect, one: Tried | None = None) -> _Found | None:
-        """Two laws that were sought together, where they explain what the best `one` does not."""
-        pairs = [] if tired() else paired(seen, self.every, self.progress)
+    def both(self, seen: Prospect, one: Tried | None = None, pairs: Sequence[Tried] = ()) -> _Found | None:
+        """Two laws that were sought together, where they explain what the best `one` does not; those of `pairs` if
+        given.
+        """
+        if not pairs:
+            pairs = [] if tired() else paired(seen, self.every, self.progress)
         if not pairs:
             return None
         self.progress("comparing pairs of nonlinear laws")

@@ -19,7 +19,7 @@ from labnnum.diagnosis.nonlinear.locate import Background, Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import spread_lead, stuck
-from labnnum.diagnosis.nonlinear.tempered import contest, relaxed
+from labnnum.diagnosis.nonlinear.tempered import Contest, contest, relaxed
 from labnnum.diagnosis.scatter import Scatter
 
 LAWS = (
@@ -54,6 +54,8 @@ class Prospect:
     recovered: tuple[Recovered, ...]
     near: tuple[Tried, ...]
     leads: tuple[Lead, ...] = ()
+    pairs: tuple[Tried, ...] = ()
+    """Two laws that come far nearer than the best alone, simulated, best first."""
 
     @property
     def level(self) -> float:
@@ -117,15 +119,18 @@ def explore(
     strained = not misled and calm.prior_part > STRAINED * plain.n_base
     rounds = [nominal, calm.x][: 2 if carry_on else 1] if misled else [calm.x]
     best: Prospect | None = None
+    pairs: tuple[Tried, ...] = ()
     for x in rounds:
         found, leads = looked(plain, x, spots, unnamed)
         near: list[Tried] = []
         if misled and carry_on and x is nominal:
             far = strong is not False and spent() < ONCE
-            near = contest(bench, nominal, found, LAWS, leads, progress) if far else []
-            if not strong and (not near or near[0].made.data_part > LEAVES * base.data_part):
+            held = contest(bench, nominal, found, LAWS, leads, progress) if far else Contest()
+            near, pairs = list(held.near), held.pairs
+            if not strong and not pairs and (not near or near[0].made.data_part > LEAVES * base.data_part):
                 near = sorted([*near, *stuck(bench, quiet, found, HELD, LONG)], key=lambda t: t.cost)
-        dry = bool(near) and near[0].made.data_part < LEAVES * base.data_part
+        best_of = (*pairs, *near)[:1]
+        dry = bool(best_of) and best_of[0].made.data_part < LEAVES * base.data_part
         if strong and not dry:
             return None
         if dry:
@@ -137,7 +142,7 @@ def explore(
             progress("following nonlinear laws along the motion")
             near = sorted([*near, *followed(bench, begin, leads, carry_on)], key=lambda t: t.cost)
         if near and (best is None or near[0].cost < best.near[0].cost):
-            best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads))
+            best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads), pairs)
         if dry or (near and near[0].made.data_part < MISLED * near[0].made.count):
             break
     if best is not None and carry_on and not misled and best.level > MISLED:

@@ -233,7 +233,7 @@ def acts(made: Made, i: int) -> bool:
 def finished(study: Study, last: Tried, scatter: Scatter, lines: Sequence[Lines]) -> Tried:
     """The last fit of a chain followed to its end, with finer steps and the slopes that standard deviations need."""
     bench = Bench(study.engine, study.point, study.runs, scatter, tuple(lines))
-    return bench.carry_on(last, FINISH, always=True, last=not tired())
+    return bench.carry_on(last, FINISH, always=True, last=not tired() or any(t.last for t in last.made.terms))
 
 
 FINISH = 12

@@ -207,9 +207,13 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
     close = [t for t in pairs if t.cost < CLOSE * pairs[0].cost]
     near = close[: 1 if tired() else SIMULATED]
     before = spent()
-    coarse = sorted((bench.carry_on(t, LONG, last=False) for t in near), key=lambda t: t.cost)
+    coarse = sorted((bench.carry_on(t, LONG, last=is_fine(t)) for t in near), key=lambda t: t.cost)
     brief = spent() - before < QUICK * len(near)
-    finer = [bench.carry_on(t, LONG, last=brief or not tired()) for t in coarse if t.cost < CLOSE * coarse[0].cost]
+    finer = [
+        bench.carry_on(t, LONG, last=brief or not tired() or is_fine(t))
+        for t in coarse
+        if t.cost < CLOSE * coarse[0].cost
+    ]
     if brief:  # coarse steps leave most of what smooth laws' harmonics do
         kin = [t for t in close if _there(t) == _there(finer[0]) and not any(t.same(o) for o in coarse)]
         finer += [bench.carry_on(bench.carry_on(t, LONG, last=False), LONG, last=True) for t in kin[:KIN]]
@@ -220,7 +224,7 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
         others = [t for t in pairs if not any(t.same(o) for o in finer)][:INSTEAD]
         finer += [bench.carry_on(bench.carry_on(t, LONG, last=True), LONG, last=True) for t in others]
         finer.sort(key=lambda t: t.cost)
-    best = bench.carry_on(finer[0], 4, always=True, last=brief or not tired())
+    best = bench.carry_on(finer[0], 4, always=True, last=brief or not tired() or is_fine(finer[0]))
     tried = (best, *finer[1:])
     plain = bench.joint([])
     base = fit(plain, seen.base.x, [None] * len(bench.runs), steps=6)
@@ -230,6 +234,11 @@ def study_of(seen: Prospect, pairs: Sequence[Tried], scatter: Scatter, alarm: fl
     if len(laws) == 1:
         study = replace(study, tried=(laws[0], *tried[1:]))
     return study, laws
+
+
+def is_fine(t: Tried) -> bool:
+    """Whether a fit was simulated with fine steps, and loses its place with coarse ones."""
+    return any(term.last for term in t.made.terms)
 
 
 AGAIN, BEGINNING = (0.75, 0.87, 1.15, 1.35), 6

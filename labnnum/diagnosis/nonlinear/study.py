@@ -62,9 +62,10 @@ def search(
         tried = sorted([*tried, *(t for t in straight if t is not None)], key=lambda t: t.cost)
     if not tried:
         return None
+    pairs: tuple[Tried, ...] = ()
     misled = seen.calm.data_part > MISLED * seen.calm.count  # laws were sought from the nominal base then
     if not (unsure or misled or tired()) and tried[0].made.data_part > DOUBTFUL * tried[0].made.count:
-        tried = contested(seen, tried, progress)
+        tried, pairs = contested(seen, tried, progress)
     best = tried[0].made
     law = None
     if best.data_part > ENOUGH * best.count:
@@ -72,7 +73,7 @@ def search(
         general = [general_lead(background, q) for q in nearest(seen.recovered)]
         law = _general(bench, tried[0], general)
     return Study(
-        bench.engine, bench.point, bench.runs, seen.base, seen.calm, tuple(tried), law, seen.recovered
+        bench.engine, bench.point, bench.runs, seen.base, seen.calm, tuple(tried), law, seen.recovered, pairs=pairs
     )  # fmt: skip
 
 
@@ -80,14 +81,16 @@ DOUBTFUL = 3.0
 """Chi-square per value that the best law leaves above which laws are sought from the quietest level's base, too."""
 
 
-def contested(seen: Prospect, tried: list[Tried], progress: Callable[[str], None]) -> list[Tried]:
+def contested(
+    seen: Prospect, tried: list[Tried], progress: Callable[[str], None]
+) -> tuple[list[Tried], tuple[Tried, ...]]:  # fmt: skip
     """The laws that were simulated, best first, and those that win from the base of the quietest level with a tolerance
-    on every line first, which hold where the motion that is recovered misleads.
+    on every line first, which hold where the motion that is recovered misleads; and pairs of which that holds.
     """
     bench, x = seen.bench, seen.calm.x
     found, leads = looked(bench.joint([]), x, [q.spot for q in seen.recovered])
-    more = with_rounded(bench, contest(bench, x, found, LAWS, leads, progress))
-    return plainer(sorted([*tried, *more], key=lambda t: t.cost))
+    held = contest(bench, x, found, LAWS, leads, progress)
+    return plainer(sorted([*tried, *with_rounded(bench, list(held.near))], key=lambda t: t.cost)), held.pairs
 
 
 def of_known(

@@ -11,35 +11,38 @@ graduated non-convexity).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.duet import duets
 from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
-from labnnum.diagnosis.nonlinear.lines import NEAR, Lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.numbered import numbered
-from labnnum.diagnosis.nonlinear.problem import KINKED, reduced
-from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.problem import reduced
+from labnnum.diagnosis.nonlinear.slack import (
+    BEGUN,
+    BRIEF,
+    CARRIED,
+    ENDED,
+    FAR,
+    LADDER,
+    LAST,
+    ROUGH,
+    ROUGHLY,
+    SETTLED,
+    STEPS,
+    UNFIT,
+    nearest_of,
+    sharp,
+    slackened,
+)
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.mechanisms.base import Place
 
-LADDER = (0.3, 0.1, 0.03, 0.01)
-"""Tolerances, relative to the response around a line, from the widest on."""
-CLOSELY = 30.0
-"""Part of the tolerance to which a steady state is followed;"""
-ROUGHLY = 3.0
-"""the same where a law is only looked at."""
-UNFIT = 1.0
-"""Chi-square per value that the base alone leaves with the widest tolerance that is asked for."""
-BRIEF, STEPS, LAST = 3, 6, 12
-"""Steps of the first fit of a law, of one with a tolerance, and of the one without."""
-SETTLED = 20
-"""Steps at most of the fits with the widest tolerance: from there on a law must not be far off."""
 SIZES = (0.1, 0.4, 1.6), (0.07, 0.2, 0.5, 1.2, 3.0)
 """Strengths that are looked at, of laws with a gap or slip and of others: the force along the motion that the nominal
 model recovers, of the one recovered."""
@@ -48,10 +51,8 @@ CORNERS = FRACTIONS[[0, 2, 4]]
 SPOTS, ALIKE = 3, 0.9
 """Spots, by the share of the distortion that a force there explains, at which laws are looked at; and the part of the
 first one's share that another must have."""
-BEGUN, CARRIED, ENDED = 6, 3, 2
-"""Laws that are fitted with the widest tolerance, with the next, and to the end, at most."""
-FAR, BEHIND = 3.0, 10.0
-"""Cost, of the least, above which a law is not carried on; and after its first steps."""
+BEHIND = 10.0
+"""Cost after the first steps, of the least, above which a law is not carried on."""
 CLEAR = 0.2
 """Part of what the base alone leaves with the widest tolerance below which a law is the one: others are then fitted at
 its place only."""
@@ -61,31 +62,18 @@ HOPEFUL = 0.35
 """Part of that above which no law is."""
 
 
-def slackened(bench: Bench, slack: float) -> Bench:
-    """The bench with a tolerance of `slack` of the response around each line."""
-    pairs = zip(bench.runs, bench.lines, strict=True)
-    closing = max(bench.closing, slack / CLOSELY)
-    return replace(bench, lines=tuple(_slackened(run, lines, slack) for run, lines in pairs), closing=closing)
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """Laws alone, best first, and those of which the first beside a second came far nearer than it did alone."""
 
-
-def _slackened(run: Run, lines: Lines, slack: float) -> Lines:
-    """Lines with the tolerance; those that are not excited have the part of it that their own response asks for, and
-    of the widest as much as the excited ones, since a law of another size distorts otherwise.
-    """
-    power = np.abs(run.seen(run.y)) ** 2
-    near = max(NEAR, int(2 * slack * np.median(lines.at)))
-    around = uniform_filter1d(power, near, axis=1, mode="nearest")
-    quiet = np.flatnonzero(run.quiet)
-    if quiet.size:
-        own = uniform_filter1d(power[:, quiet], max(NEAR, near * quiet.size // run.u.size), axis=1, mode="nearest")
-        around[:, quiet] = np.maximum(own, (slack / LADDER[0]) ** 2 * around[:, quiet])
-    return Lines(lines.at, np.hypot(lines.sigma, slack * np.sqrt(around[:, lines.at])), lines.windowed)
+    near: tuple[Tried, ...] = ()
+    pairs: tuple[Tried, ...] = ()
 
 
 def contest(
     bench: Bench, x: NDArray, found: Sequence[Recovered], laws: Sequence[str], leads: Sequence[Lead] = (),
     progress: Callable[[str], None] = lambda text: None,
-) -> list[Tried]:  # fmt: skip
+) -> Contest:  # fmt: skip
     """Laws at the spots whose force explains most of the distortion, fitted from far away; best first.
 
     Parameters
@@ -101,20 +89,26 @@ def contest(
     """
     ladder, alone = _begins(bench, x)
     if alone is None:
-        return []
+        return Contest()
     progress("simulating strong laws")
     wide = slackened(bench, ladder[0])
     begun = _begun(wide, x, _promising(bench, x, found, laws, leads, ladder[0]), CLEAR * alone.data_part)
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
     near = nearest_of([*near, *_softer(wide, x, near, CLEAR * alone.data_part)], CARRIED)
     if not near or near[0].cost > HOPEFUL * alone.objective:
-        return []
+        return Contest()
+    pairs = duets(bench, x, near, [q.spot for q in found], laws, ladder)
+    near = near[:1] if pairs else near
     jumps = near[0].mechanism == "coulomb-friction"  # with coarse steps the next tolerance would bend its base
     for slack in (*ladder[2 if jumps else 1 :], 0.0):
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
-        carried = [on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH) for t in near]
+        carried = [on.carry_on(t, steps, last=sharp(t) and slack < ROUGH) for t in near]
         near = nearest_of(carried, CARRIED if slack else ENDED)
-    return near
+    return Contest(tuple(near), tuple(t for t in pairs if t.cost < BETTER * near[0].cost))
+
+
+BETTER = 0.4
+"""Part of what the best law alone leaves to which two must bring it."""
 
 
 def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
@@ -126,7 +120,7 @@ def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
         return None
     for slack in (*LADDER[2:], 0.0):
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
-        before, t = t, on.carry_on(t, steps, last=_sharp(t) and slack < ROUGH)
+        before, t = t, on.carry_on(t, steps, last=sharp(t) and slack < ROUGH)
         if t.made.data_part > UNFIT * t.made.count and before.made.data_part < UNFIT * before.made.count:
             fewer = numbered(on, replace(t, made=replace(t.made, x=before.made.x)), STEPS)  # before the base bends
             t = t if fewer is None else fewer
@@ -199,22 +193,6 @@ def _promising(
             looked = [(left_by(loud, x, [lead]), lead) for lead in some]
             out += sorted((p for p in looked if np.isfinite(p[0])), key=lambda pair: pair[0])[:1]
     return [lead for _, lead in sorted(out, key=lambda pair: pair[0])]
-
-
-ROUGH = 0.1
-"""Tolerance below which laws with jumps or corners are simulated with fine steps: what coarse ones have wrong would
-bend the base."""
-
-
-def _sharp(t: Tried) -> bool:
-    """Whether a law's force jumps or has corners."""
-    return t.mechanism == "coulomb-friction" or SHAPES[t.mechanism].law in KINKED
-
-
-def nearest_of(tried: list[Tried], most: int, far: float = FAR) -> list[Tried]:
-    """The best, as far as they are near the first."""
-    tried = sorted(tried, key=lambda t: t.cost)
-    return [t for t in tried[:most] if t.cost < far * tried[0].cost]
 
 
 def left_by(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> float:
