@@ -196,7 +196,7 @@ class Bench:
         return joint.terms if reduced(r, b)[0] < SHORTER * made.data_part else None
 
 
-NOISY, SHORTER, FINEST = 1.2, 0.8, 128.0
+NOISY, SHORTER, FINEST = 1.3, 0.8, 128.0
 """Chi-square per value above which shorter steps are tried; part of it below which they must bring it; and how many to
 a period of the highest excited line are tried at most."""
 

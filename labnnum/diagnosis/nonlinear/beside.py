@@ -273,6 +273,12 @@ def _structural(t: Term) -> bool:
     return t.mechanism.domain == "linear" or (t.mechanism.domain == "modal" and t.fitted.whole is not None)
 
 
+NONE = 1e-6
+"""Deviation, of its range, of a parameter that the fit has put at nothing."""
+
+
 def _about(p: Parameter, value: float) -> Parameter:
     """The parameter with a prior as wide as its value: what a law hides is known by its kind, hardly by its size."""
-    return Parameter(p.name, value, min(p.lower, value), max(p.upper, value), p.unit, max(abs(value), 1e-300))
+    span = p.upper - p.lower
+    std = abs(value) or NONE * (span if 0 < span < np.inf else 1.0)
+    return Parameter(p.name, value, min(p.lower, value), max(p.upper, value), p.unit, std)

@@ -8,10 +8,12 @@ law's: the force that a second place asks for there stands out, though the first
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from numpy.typing import NDArray
+import numpy as np
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fits
+from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.leads import law_leads, ranked
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
 from labnnum.diagnosis.nonlinear.slack import (
@@ -28,27 +30,31 @@ from labnnum.diagnosis.nonlinear.slack import (
     sharp,
     slackened,
 )
+from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.errors import EstimationError
 
 FAINT = 0.1
 """Part of what the best lead promises below which another is not fitted."""
-FIRSTS = 2
-"""Laws beside which a second is sought, at most; the next only where none beside the one before came near."""
+RUNGS = 2
+"""Tolerances with which a second law is sought, from the widest."""
+PAYS = 4.0
+"""Price of the base, of its entries, from which on the first law has bent it."""
+HALF = 0.5
+"""Part of the first law's cost to which a second must bring it with the same tolerance,"""
+FEWER = 0.8
+"""and of a pair's to which one must that yields bit by bit in the stead of a slider."""
 
 
 def duets(
-    bench: Bench, x: NDArray, near: Sequence[Tried], spots: Sequence[Spot], laws: Sequence[str],
-    ladder: Sequence[float],
-) -> list[Tried]:  # fmt: skip
+    bench: Bench, first: Tried, spots: Sequence[Spot], laws: Sequence[str], ladder: Sequence[float]
+) -> list[Tried]:
     """Two laws, fitted down to the lines without tolerance, best first; none where the first alone comes near with the
-    second tolerance, or no second beside it does.
+    tolerances that are asked, and no base is bent for it, or where no second beside it does better by far.
 
     Parameters
     ----------
-    x : ndarray
-        Vector of the base from which the laws were fitted.
-    near : sequence of Tried
-        Laws alone, fitted with the first tolerance, best first.
+    first : Tried
+        The best law alone, fitted with the first tolerance.
     spots : sequence of Spot
         Where a second law is sought.
     laws : sequence of str
@@ -56,20 +62,19 @@ def duets(
     ladder : sequence of float
         Tolerances, from the widest that the base alone does not satisfy.
     """
-    if len(ladder) < 2:
-        return []
-    on = slackened(bench, ladder[1])
-    alone = on.carry_on(near[0], STEPS, last=False)
-    if alone.made.data_part < UNFIT * alone.made.count:
-        return []
-    for first in near[:FIRSTS]:
-        pairs = _beside(on, x, first, spots, laws)
-        if pairs and pairs[0].made.data_part < UNFIT * pairs[0].made.count:
-            return _narrowed(bench, pairs, ladder[2:])
+    for i, slack in enumerate(ladder[:RUNGS]):
+        on = slackened(bench, slack)
+        alone = on.carry_on(first, STEPS, last=False) if i else first
+        made = alone.made
+        if made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base:
+            continue
+        pairs = _beside(on, first, spots, laws)
+        if pairs and pairs[0].cost < HALF * alone.cost:
+            return _narrowed(bench, nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED), ladder[i + 1 :])
     return []
 
 
-def _beside(on: Bench, x: NDArray, first: Tried, spots: Sequence[Spot], laws: Sequence[str]) -> list[Tried]:
+def _beside(on: Bench, first: Tried, spots: Sequence[Spot], laws: Sequence[str]) -> list[Tried]:
     """The first law with each of the best second ones, fitted with one tolerance; best first."""
     made = first.made
     own = of_fits(first)
@@ -85,6 +90,33 @@ def _beside(on: Bench, x: NDArray, first: Tried, spots: Sequence[Spot], laws: Se
     near = nearest_of([t for t in begun if t is not None], CARRIED)
     near = nearest_of([on.carry_on(t, STEPS, last=False) for t in near], ENDED)
     return nearest_of([on.carry_on(t, SETTLED, last=False) for t in near], ENDED)
+
+
+def _of_kind(on: Bench, pair: Tried) -> list[Tried]:
+    """The pair with each of its laws that yield as the kind of them that it is: what yields bit by bit where that costs
+    far less, and a slider where it costs hardly more; nothing where that is the pair itself.
+    """
+    best = pair
+    for i in range(2):
+        leads = of_fits(best)
+        lead, made = leads[i], []
+        for kind, most in _kinds(lead):
+            two = [kind if j == i else one for j, one in enumerate(leads)]
+            one = on.both(best.made.x[: best.made.bare], two, SETTLED)
+            made += [] if one is None or one.cost > most * best.cost else [one]
+        best = min(made, key=lambda t: t.cost, default=best)
+    return [] if best is pair else [best]
+
+
+def _kinds(lead: Lead) -> list[tuple[Lead, float]]:
+    """Laws of the same kind in a law's stead, and the cost, of its, up to which each is taken."""
+    if lead.mechanism == "stick-slip":
+        return [(smooth_of(lead, lead.p), FEWER), (spread_of(lead, lead.p), FEWER)]
+    if lead.mechanism not in ("hysteresis", "sliders"):
+        return []
+    p = np.zeros(N_P)
+    p[:2] = lead.p[0], lead.p[0] * lead.p[1] if lead.mechanism == "hysteresis" else lead.p[1]
+    return [(replace(lead, mechanism="stick-slip", p=p), 1 / FEWER)]
 
 
 def _foremost(leads: Sequence[Lead], own: Sequence[Lead]) -> list[Lead]:

@@ -97,7 +97,7 @@ def contest(
     near = nearest_of([*near, *_softer(wide, x, near, CLEAR * alone.data_part)], CARRIED)
     if not near or near[0].cost > HOPEFUL * alone.objective:
         return Contest()
-    pairs = duets(bench, x, near, [q.spot for q in found], laws, ladder)
+    pairs = duets(bench, near[0], [q.spot for q in found], laws, ladder)
     near = near[:1] if pairs else near
     jumps = near[0].mechanism == "coulomb-friction"  # with coarse steps the next tolerance would bend its base
     for slack in (*ladder[2 if jumps else 1 :], 0.0):
