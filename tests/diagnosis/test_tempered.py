@@ -16,10 +16,10 @@ LIMIT = 2.0
 """Dry friction that hardly lets go at the lowest level."""
 
 
-def recorded(element, level, fine=64):
+def recorded(elements, level, fine=64):
     """Four periods at a level behind an ideal filter: an acceleration that jumps must not fold back."""
     spectrum = multisine(level, int(level))
-    y = np.fft.irfft(lines_of(marched(spectrum, [element], chain(), fine, periods=20)) * PERIOD / 2, PERIOD)
+    y = np.fft.irfft(lines_of(marched(spectrum, elements, chain(), fine, periods=20)) * PERIOD / 2, PERIOD)
     u = np.fft.irfft(spectrum * PERIOD / 2, PERIOD)
     rng = np.random.default_rng(int(level))
     data = np.tile(np.vstack([u, y]), 4)
@@ -30,7 +30,7 @@ def recorded(element, level, fine=64):
 @pytest.fixture(scope="module")
 def dry():
     element = Element("coulomb", joint_23(), (LIMIT,))
-    return bench_of(observe_all([recorded(element, level) for level in (1.0, 4.0, 16.0)]))
+    return bench_of(observe_all([recorded([element], level) for level in (1.0, 4.0, 16.0)]))
 
 
 def test_a_tolerance_adds_to_what_a_line_may_be_off(dry):
@@ -68,7 +68,7 @@ def test_friction_that_holds_is_found_from_the_nominal_model(dry):
 
 def test_a_sound_base_has_no_contest():
     bench, _, every = bench_of(
-        observe_all([recorded(Element("cubic", joint_23(), (1e-3,)), level) for level in (1, 4)])
+        observe_all([recorded([Element("cubic", joint_23(), (1e-3,))], level) for level in (1, 4)])
     )
     nominal = engine_start(bench.joint([]))
     found, leads = looked(bench.joint([]), nominal, every)

@@ -35,7 +35,7 @@ STRENGTH = 3e4
 def cubic():
     """Bench, objective and fit of a cubic spring, begun at the truth."""
     element = Element("cubic", joint_23(), (STRENGTH,))
-    bench, _, every = bench_of(observe_all([recorded(element, level) for level in (2.0, 8.0, 25.0)]))
+    bench, _, every = bench_of(observe_all([recorded([element], level) for level in (2.0, 8.0, 25.0)]))
     spot = next(s for s in every if {s.place.id, s.place.to} == {"2", "3"})
     p = np.zeros(N_P)
     p[0] = STRENGTH
@@ -155,7 +155,7 @@ def test_what_a_law_adds_to_an_frf_is_taken_off_as_its_sensor_reads_it():
     """A gain 2 % too large reads the law's share too large as well: without that share all levels show one FRF."""
     element = Element("cubic", joint_23(), (STRENGTH,))
     gain = np.array([1.0, 1.0, 1.02, 1.0])[:, None]
-    made = [recorded(element, level) for level in (2.0, 8.0, 25.0)]
+    made = [recorded([element], level) for level in (2.0, 8.0, 25.0)]
     observations = observe_all([replace(r, data=gain * r.data) for r in made])
     bench, _, every = bench_of(observations)
     spot = next(s for s in every if {s.place.id, s.place.to} == {"2", "3"})
@@ -188,7 +188,7 @@ def test_the_force_is_drawn_as_the_last_base_shows_it(cubic):
 
 def test_the_force_of_an_even_law_is_drawn_with_the_mean_that_accelerometers_do_not_show():
     """A quadratic spring pushes one way on the average: recovered from accelerations alone its force has no mean."""
-    bench, _, every = bench_of(observe_all([recorded(Element("quadratic", joint_23(), (5e2,)), 25.0)]))
+    bench, _, every = bench_of(observe_all([recorded([Element("quadratic", joint_23(), (5e2,))], 25.0)]))
     spot = next(s for s in every if {s.place.id, s.place.to} == {"2", "3"})
     bench = bench.on(FINE)
     lead = Lead(spot, "quadratic-stiffness", np.append(5e2, np.zeros(N_P - 1)), 0.0)

@@ -35,8 +35,8 @@ from labnnum.errors import EstimationError
 
 FAINT = 0.1
 """Part of what the best lead promises below which another is not fitted."""
-RUNGS = 2
-"""Tolerances with which a second law is sought, from the widest."""
+FIRSTS, RUNGS = 2, 2
+"""Laws beside which a second is sought, and tolerances with which a second law is sought, from the widest."""
 PAYS = 4.0
 """Price of the base, of its entries, from which on the first law has bent it."""
 HALF = 0.5
@@ -46,15 +46,16 @@ FEWER = 0.8
 
 
 def duets(
-    bench: Bench, first: Tried, spots: Sequence[Spot], laws: Sequence[str], ladder: Sequence[float]
+    bench: Bench, firsts: Sequence[Tried], spots: Sequence[Spot], laws: Sequence[str], ladder: Sequence[float]
 ) -> list[Tried]:
-    """Two laws, fitted down to the lines without tolerance, best first; none where the first alone comes near with the
+    """Two laws, fitted down to the lines without tolerance, best first; none where a law alone comes near with the
     tolerances that are asked, and no base is bent for it, or where no second beside it does better by far.
 
     Parameters
     ----------
-    first : Tried
-        The best law alone, fitted with the first tolerance.
+    firsts : sequence of Tried
+        Laws alone, fitted with the first tolerance, best first. The next is asked where none beside the one before
+        will do.
     spots : sequence of Spot
         Where a second law is sought.
     laws : sequence of str
@@ -62,15 +63,16 @@ def duets(
     ladder : sequence of float
         Tolerances, from the widest that the base alone does not satisfy.
     """
-    for i, slack in enumerate(ladder[:RUNGS]):
-        on = slackened(bench, slack)
-        alone = on.carry_on(first, STEPS, last=False) if i else first
-        made = alone.made
-        if made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base:
-            continue
-        pairs = _beside(on, first, spots, laws)
-        if pairs and pairs[0].cost < HALF * alone.cost:
-            return _narrowed(bench, nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED), ladder[i + 1 :])
+    for first in firsts[:FIRSTS]:
+        for i, slack in enumerate(ladder[:RUNGS]):
+            on = slackened(bench, slack)
+            alone = on.carry_on(first, STEPS, last=False) if i else first
+            made = alone.made
+            if made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base:
+                continue
+            pairs = _beside(on, first, spots, laws)
+            if pairs and pairs[0].cost < HALF * alone.cost:
+                return _narrowed(bench, nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED), ladder[i + 1 :])
     return []
 
 

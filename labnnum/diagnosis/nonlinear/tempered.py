@@ -58,6 +58,8 @@ CLEAR = 0.2
 its place only."""
 PAYS = 4.0
 """Price of the base, of its entries, from which on a slider has bent it."""
+HELPS = 0.9
+"""Part of what the base alone leaves with the widest tolerance above which nothing is sought beside a law;"""
 HOPEFUL = 0.35
 """Part of that above which no law is."""
 
@@ -95,9 +97,11 @@ def contest(
     begun = _begun(wide, x, _promising(bench, x, found, laws, leads, ladder[0]), CLEAR * alone.data_part)
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
     near = nearest_of([*near, *_softer(wide, x, near, CLEAR * alone.data_part)], CARRIED)
-    if not near or near[0].cost > HOPEFUL * alone.objective:
+    if not near or near[0].cost > HELPS * alone.objective:
         return Contest()
-    pairs = duets(bench, near[0], [q.spot for q in found], laws, ladder)
+    pairs = duets(bench, near, [q.spot for q in found], laws, ladder)
+    if near[0].cost > HOPEFUL * alone.objective and not pairs:
+        return Contest()
     near = near[:1] if pairs else near
     jumps = near[0].mechanism == "coulomb-friction"  # with coarse steps the next tolerance would bend its base
     for slack in (*ladder[2 if jumps else 1 :], 0.0):
