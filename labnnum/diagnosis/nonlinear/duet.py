@@ -36,13 +36,15 @@ from labnnum.errors import EstimationError
 FAINT = 0.1
 """Part of what the best lead promises below which another is not fitted."""
 FIRSTS, RUNGS = 2, 2
-"""Laws beside which a second is sought, and tolerances with which a second law is sought, from the widest."""
+"""Laws beside which a second is sought, best first, and tolerances with which it is, from the widest."""
 PAYS = 4.0
 """Price of the base, of its entries, from which on the first law has bent it."""
 HALF = 0.5
 """Part of the first law's cost to which a second must bring it with the same tolerance,"""
+KEPT = 3.0
+"""Chi-square per value above which a pair is given up, with any tolerance or without;"""
 FEWER = 0.8
-"""and of a pair's to which one must that yields bit by bit in the stead of a slider."""
+"""part of a pair's cost to which one must that yields bit by bit in the stead of a slider."""
 
 
 def duets(
@@ -72,7 +74,9 @@ def duets(
                 continue
             pairs = _beside(on, first, spots, laws)
             if pairs and pairs[0].cost < HALF * alone.cost:
-                return _narrowed(bench, nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED), ladder[i + 1 :])
+                near = nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED)
+                if done := _narrowed(bench, near, ladder[i + 1 :]):
+                    return done
     return []
 
 
@@ -135,8 +139,11 @@ def _foremost(leads: Sequence[Lead], own: Sequence[Lead]) -> list[Lead]:
 
 
 def _narrowed(bench: Bench, pairs: list[Tried], ladder: Sequence[float]) -> list[Tried]:
-    """Pairs carried through the tolerances that are left, and fitted without."""
+    """Pairs carried through the tolerances that are left, and fitted without; without those that leave more than they
+    may: with the right laws each tolerance is kept, with others the base bends from one to the next.
+    """
     for slack in (*ladder, 0.0):
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
-        pairs = nearest_of([on.carry_on(t, steps, last=sharp(t) and slack < ROUGH) for t in pairs], ENDED)
+        pairs = [on.carry_on(t, steps, last=sharp(t) and slack < ROUGH) for t in pairs]
+        pairs = nearest_of([t for t in pairs if t.made.data_part < KEPT * t.made.count], ENDED)
     return pairs
