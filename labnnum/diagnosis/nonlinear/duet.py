@@ -22,6 +22,7 @@ from labnnum.diagnosis.nonlinear.slack import (
     CARRIED,
     ENDED,
     LAST,
+    PAYS,
     ROUGH,
     SETTLED,
     STEPS,
@@ -37,8 +38,6 @@ FAINT = 0.1
 """Part of what the best lead promises below which another is not fitted."""
 FIRSTS, RUNGS = 2, 2
 """Laws beside which a second is sought, best first, and tolerances with which it is, from the widest."""
-PAYS = 4.0
-"""Price of the base, of its entries, from which on the first law has bent it."""
 HALF = 0.5
 """Part of the first law's cost to which a second must bring it with the same tolerance,"""
 KEPT = 3.0

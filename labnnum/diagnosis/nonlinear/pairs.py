@@ -36,6 +36,7 @@ from labnnum.diagnosis.nonlinear.receptance import Base, per_place
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.diagnosis.nonlinear.study import FINE, UNSURE
+from labnnum.diagnosis.nonlinear.tempered import BETTER
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.mechanisms.base import Place
 
@@ -63,8 +64,6 @@ ONWARD = 0.8
 """Part of what the best pair left to which a round must bring it for another."""
 SCANNED = 300
 """Lines of a run on which pairs of places are compared."""
-BETTER = 0.4
-"""Part of what the best single law leaves to which two must bring it."""
 ENOUGH = 1.3
 """Chi-square per value below which a pair leaves nothing to be sought."""
 CLOSE, SIMULATED = 3.0, 3

@@ -25,6 +25,8 @@ SETTLED = 20
 """Steps at most of the fits with the widest tolerance: from there on a law must not be far off."""
 UNFIT = 1.0
 """Chi-square per value that the base alone leaves with the widest tolerance that is asked for."""
+PAYS = 4.0
+"""Price of the base, of its entries, from which on a law has bent it."""
 FAR = 3.0
 """Cost, of the least, above which a law is not carried on."""
 BEGUN, CARRIED, ENDED = 6, 3, 2
@@ -58,8 +60,9 @@ bend the base."""
 
 
 def sharp(t: Tried) -> bool:
-    """Whether a law's force jumps or has corners."""
-    return any(m == "coulomb-friction" or SHAPES[m].law in KINKED for m in (one.mechanism for one in (t.lead, *t.more)))
+    """Whether the force of one of its laws jumps or has corners."""
+    laws = [lead.mechanism for lead in (t.lead, *t.more)]
+    return any(law == "coulomb-friction" or SHAPES[law].law in KINKED for law in laws)
 
 
 def nearest_of(tried: list[Tried], most: int, far: float = FAR) -> list[Tried]:

@@ -31,6 +31,7 @@ from labnnum.diagnosis.nonlinear.slack import (
     FAR,
     LADDER,
     LAST,
+    PAYS,
     ROUGH,
     ROUGHLY,
     SETTLED,
@@ -56,8 +57,6 @@ BEHIND = 10.0
 CLEAR = 0.2
 """Part of what the base alone leaves with the widest tolerance below which a law is the one: others are then fitted at
 its place only."""
-PAYS = 4.0
-"""Price of the base, of its entries, from which on a slider has bent it."""
 HELPS = 0.9
 """Part of what the base alone leaves with the widest tolerance above which nothing is sought beside a law;"""
 HOPEFUL = 0.35
