@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fits
+from labnnum.diagnosis.nonlinear.effort import TWO, counted, spent
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.leads import law_leads, ranked
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
@@ -64,18 +65,21 @@ def duets(
     ladder : sequence of float
         Tolerances, from the widest that the base alone does not satisfy.
     """
-    for first in firsts[:FIRSTS]:
-        for i, slack in enumerate(ladder[:RUNGS]):
-            on = slackened(bench, slack)
-            alone = on.carry_on(first, STEPS, last=False) if i else first
-            made = alone.made
-            if made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base:
-                continue
-            pairs = _beside(on, first, spots, laws)
-            if pairs and pairs[0].cost < HALF * alone.cost:
-                near = nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED)
-                if done := _narrowed(bench, near, ladder[i + 1 :]):
-                    return done
+    with counted():  # a search that may find nothing tires none that comes after it
+        for first in firsts[:FIRSTS]:
+            for i, slack in enumerate(ladder[:RUNGS]):
+                on = slackened(bench, slack)
+                alone = on.carry_on(first, STEPS, last=False) if i else first
+                made = alone.made
+                if made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base:
+                    continue
+                if spent() > TWO:
+                    return []
+                pairs = _beside(on, first, spots, laws)
+                if pairs and pairs[0].cost < HALF * alone.cost:
+                    near = nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED)
+                    if done := _narrowed(bench, near, ladder[i + 1 :]):
+                        return done
     return []
 
 
