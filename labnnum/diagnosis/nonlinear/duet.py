@@ -39,6 +39,8 @@ FAINT = 0.1
 """Part of what the best lead promises below which another is not fitted."""
 FIRSTS, RUNGS = 2, 2
 """Laws beside which a second is sought, best first, and tolerances with which it is, from the widest."""
+SHORT = 5.0
+"""Nominal seconds of one search after which no second law is begun."""
 HALF = 0.5
 """Part of the first law's cost to which a second must bring it with the same tolerance,"""
 KEPT = 3.0
@@ -65,7 +67,7 @@ def duets(
     ladder : sequence of float
         Tolerances, from the widest that the base alone does not satisfy.
     """
-    with counted():  # a search that may find nothing tires none that comes after it
+    with counted():  # apart: a search that may find nothing tires none that comes after it
         for first in firsts[:FIRSTS]:
             for i, slack in enumerate(ladder[:RUNGS]):
                 on = slackened(bench, slack)
@@ -73,8 +75,6 @@ def duets(
                 made = alone.made
                 if made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base:
                     continue
-                if spent() > TWO:
-                    return []
                 pairs = _beside(on, first, spots, laws)
                 if pairs and pairs[0].cost < HALF * alone.cost:
                     near = nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED)
@@ -84,7 +84,11 @@ def duets(
 
 
 def _beside(on: Bench, first: Tried, spots: Sequence[Spot], laws: Sequence[str]) -> list[Tried]:
-    """The first law with each of the best second ones, fitted with one tolerance; best first."""
+    """The first law with each of the best second ones, fitted with one tolerance; best first. None is begun after
+    `SHORT` of the search, nor carried on after `TWO`.
+    """
+    if spent() > SHORT:
+        return []
     made = first.made
     own = of_fits(first)
     joint = on.joint(own)
@@ -95,10 +99,14 @@ def _beside(on: Bench, first: Tried, spots: Sequence[Spot], laws: Sequence[str])
     background = Background(joint, made.x, orbits)
     found = ranked(background, [recover(joint, made.x, on.point, s, orbits) for s in spots])
     leads = [lead for q in found for lead in law_leads(background, q, laws)]
-    begun = [on.both(made.x[: made.bare], [*own, lead], BRIEF) for lead in _foremost(leads, own)]
-    near = nearest_of([t for t in begun if t is not None], CARRIED)
-    near = nearest_of([on.carry_on(t, STEPS, last=False) for t in near], ENDED)
-    return nearest_of([on.carry_on(t, SETTLED, last=False) for t in near], ENDED)
+    begun = []
+    for lead in _foremost(leads, own):
+        one = on.both(made.x[: made.bare], [*own, lead], BRIEF) if spent() < SHORT else None
+        begun += [] if one is None else [one]
+    near = nearest_of(begun, CARRIED)
+    for steps in (STEPS, SETTLED):
+        near = nearest_of([on.carry_on(t, steps, last=False) if spent() < TWO else t for t in near], ENDED)
+    return near
 
 
 def _of_kind(on: Bench, pair: Tried) -> list[Tried]:
