@@ -59,7 +59,7 @@ class Engine:
         m = structure.matrices(self.theta0)
         self._basis(np.real(m.M), np.real(m.K))
         self.held = held_motions(structure)
-        self.held_load = sum((h.free_load for h in self.held.values()), np.zeros(len(m.M)))
+        self.held_load = self._load_of_supports(np.real(m.M))
         if self.is_base and len(self.inputs) > 1:
             raise ModelError("base motion and force at the same time are not supported: import them as separate runs")
         dofs = [c.dof for c in (*self.outputs, *self.inputs) if c.role != "base"]
@@ -103,6 +103,15 @@ class Engine:
         self.high_zeta = self._damping_above()
         self._sizes(first)
         self.finer: bool | None = None
+
+    def _load_of_supports(self, mass: NDArray) -> NDArray[np.float64]:
+        """Mass (n,) by which base motion loads the coordinates besides what they carry along: that of supports that
+        hold, and of those that the structure itself lets go.
+        """
+        if not self.is_base or type(self.structure).base_load is Structure.base_load:
+            return sum((h.free_load for h in self.held.values()), np.zeros(len(mass)))
+        whole = np.real(self.structure.base_load(self.theta0))
+        return whole - mass @ np.real(self.structure.rigid(self.theta0))
 
     def _sizes(self, first: State) -> None:
         """Typical motion of each band mode, (m_b,), and of its load: what errors are relative to."""
