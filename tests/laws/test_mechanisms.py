@@ -217,9 +217,10 @@ def test_a_compliant_clamp_is_the_free_structure_on_springs(cantilever):
         point = replace(point, log_zeta=np.full_like(point.log_zeta, -20.0))
         ours = engine.response(point, [term], 1j * lines).value[:, 0]
         np.testing.assert_allclose(ours, exact, rtol=2e-3, atol=2e-3 * np.abs(exact).max())
-        wide = Engine(extend(structure, [entry_of(term, point.terms[: term.n], [], inputs)]), engine.outputs, inputs, engine.band)
+        p = point.terms[: term.n]
+        wide = Engine(extend(structure, [entry_of(term, p, [], inputs)]), engine.outputs, inputs, engine.band)
         at = wide.start()
-        at = replace(at, log_zeta=np.full_like(at.log_zeta, -20.0), theta=np.append(at.theta[:1], point.terms[: term.n]))
+        at = replace(at, log_zeta=np.full_like(at.log_zeta, -20.0), theta=np.append(at.theta[:1], p))
         in_model = wide.response(at, [], 1j * lines).value[:, 0]
         np.testing.assert_allclose(in_model, exact, rtol=2e-3, atol=2e-3 * np.abs(exact).max())
 
