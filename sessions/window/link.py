@@ -23,6 +23,8 @@ from sessions.display import Display
 from sessions.snapshot import Snapshot
 
 READY, CLOSE = "ready", "close"
+PATIENCE = 5.0
+"""s after which a person is told that the window has yet to open."""
 
 
 @final
@@ -34,7 +36,7 @@ class Window(Display):
     stay : bool
         Leave the window open when the measurement is over.
     timeout : float
-        s that it may take to open.
+        s that it may take to open: a cold machine that does other work reads and compiles Qt for long.
 
     Raises
     ------
@@ -44,7 +46,7 @@ class Window(Display):
 
     interval = 0.05
 
-    def __init__(self, stay: bool = True, timeout: float = 30.0) -> None:
+    def __init__(self, stay: bool = True, timeout: float = 120.0) -> None:
         super().__init__()
         self._stay = stay
         self._latest: Snapshot | None = None
@@ -84,9 +86,12 @@ class Window(Display):
 
         waiter = threading.Thread(target=accept, daemon=True)
         waiter.start()
-        deadline = time.monotonic() + timeout
-        while waiter.is_alive() and time.monotonic() < deadline and self.process.poll() is None:
+        began, warned = time.monotonic(), False
+        while waiter.is_alive() and time.monotonic() < began + timeout and self.process.poll() is None:
             waiter.join(0.05)
+            if not warned and time.monotonic() > began + PATIENCE:
+                warned = True
+                print("the live window takes long to open; still waiting for it", file=sys.stderr, flush=True)
         waiter.join(0.2)
         listener.close()
         if not got:

@@ -32,14 +32,17 @@ CHANGES = (
 
 @pytest.fixture
 def screen():
-    """A virtual screen; its environment."""
-    number = 90 + os.getpid() % 900
+    """A virtual screen of a number that the server found free; its environment."""
+    reading, writing = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", f":{number}", "-screen", "0", "1600x1000x24"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    env = {**os.environ, "DISPLAY": f":{number}", "QT_QPA_PLATFORM": "xcb"}
-    _wait(lambda: _ok(["xdotool", "getdisplaygeometry"], env))
-    yield env
+        ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1600x1000x24"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, pass_fds=(writing,),
+    )  # fmt: skip
+    os.close(writing)
+    with os.fdopen(reading) as told:  # comes when the server is ready; nothing if it stops before
+        number = told.readline().strip()
+    assert number, f"Xvfb stopped with {server.wait()}"
+    yield {**os.environ, "DISPLAY": f":{number}", "QT_QPA_PLATFORM": "xcb", "PYTHONFAULTHANDLER": "1"}
     server.terminate()
     server.wait()
 
@@ -48,11 +51,19 @@ def _ok(words, env) -> bool:
     return subprocess.run(words, env=env, capture_output=True, timeout=20).returncode == 0
 
 
-def _wait(condition, seconds=120.0):
+def _wait(condition, command, errors: Path, seconds=240.0):
+    """Until `condition` holds; a failure shows what the command said and, if it still runs, where it stood."""
     until = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < until, "it did not happen in time"
-        time.sleep(0.1)
+        ended = command.poll()
+        if ended is None and time.monotonic() < until:
+            time.sleep(0.1)
+            continue
+        if ended is None:
+            command.send_signal(signal.SIGABRT)  # faulthandler writes the stack of every thread
+            command.wait(20)
+        what = "did not happen in time" if ended is None else f"can no longer happen: the command ended with {ended}"
+        pytest.fail(f"it {what}\n{errors.read_text(errors='replace')[-6000:]}")
 
 
 def _window(env) -> str:
@@ -84,13 +95,19 @@ def test_a_session_on_a_screen(tmp_path, screen):
     if probe.returncode:
         pytest.skip(f"Qt cannot draw on this screen: {probe.stderr.strip().splitlines()[-1:]}")
     words = ["-m", "sessions.cli", "measure", str(tmp_path / "rig.toml"), "-o", str(out), "--live"]
-    command = subprocess.Popen([sys.executable, *words], env=screen, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    errors = tmp_path / "errors.txt"
+    with errors.open("w") as said:
+        command = subprocess.Popen([sys.executable, *words], env=screen, stdout=said, stderr=said)
+
+    def wait(condition):
+        _wait(condition, command, errors)
+
     try:
-        _wait(lambda: _window(screen))
-        _wait(lambda: _hits(out) >= 3)
+        wait(lambda: _window(screen))
+        wait(lambda: _hits(out) >= 3)
         window = _window(screen)
         assert _ok(["xdotool", "windowfocus", window], screen)
-        _wait(lambda: _ok(["xdotool", "key", "r"], screen) and _rejected(out))  # focus takes the server a moment
+        wait(lambda: _ok(["xdotool", "key", "r"], screen) and _rejected(out))  # focus takes the server a moment
         shot = tmp_path / "window.png"
         assert _ok(["import", "-window", window, str(shot)], screen)
         assert shot.stat().st_size > 20_000  # an empty window takes a tenth of that
@@ -98,8 +115,8 @@ def test_a_session_on_a_screen(tmp_path, screen):
         assert command.wait(30) == 3
     finally:
         if command.poll() is None:
-            command.send_signal(signal.SIGKILL)
-        command.communicate()
+            command.kill()
+            command.wait()
     with open_session(out) as session:
         run = session.runs[0]
         assert run.finished == "stopped by the user"

@@ -302,3 +302,12 @@ def test_a_window_that_cannot_open_says_why(monkeypatch):
     with pytest.raises(LabnnumError, match="measure without --live"):
         link.Window()
     assert time.monotonic() - began < 20
+
+
+@needs_qt
+def test_a_person_who_waits_for_the_window_is_told(monkeypatch, capsys):
+    from sessions.window import link
+
+    monkeypatch.setattr(link, "PATIENCE", 0.0)
+    with link.Window(stay=False):
+        assert "still waiting" in capsys.readouterr().err
