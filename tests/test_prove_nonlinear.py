@@ -7,12 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from labnnum.errors import ConfigError
-from sessions.prove.cases import KINDS, LAWS, conceal, fits, make_case
+from sessions.prove.cases import BESIDE_LAWS, KINDS, LAWS, conceal, fits, make_case
 from sessions.prove.referee import misfit
 from sessions.prove.suite import draw
 from sessions.prove.truth import fe, march
 from sessions.prove.truth.nonlinear import coarser, coupling, finer, moving_alike, nonlinear, stretched, stroke
+from sessions.prove.truth.physics import STRUCTURAL
 from sessions.prove.truth.respond import answers
+from sessions.prove.truth.session import ramped
 from sessions.prove.truth.state import LawTerm, plant
 
 
@@ -174,3 +176,35 @@ def test_a_slider_that_no_run_makes_slip_may_be_called_the_spring_that_it_is():
     assert large == pytest.approx(10 * small, rel=1e-6)  # a spring
     assert small < stroke(held)
     assert stroke(replace(term, kind=march.CUBIC)) == np.inf
+
+
+BESIDE = [
+    (kind, beside) for kind in KINDS for beside in (None, *sorted(BESIDE_LAWS & set(STRUCTURAL)))
+    if beside is None or fits(beside, kind, "multisine")
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "beside"), BESIDE)
+def test_the_march_and_the_exact_transfers_know_one_structure(kind, beside):
+    """The stretch of the law as it was marched is what input and force make by the transfers of the outputs."""
+    faults = ("cubic-stiffness",) if beside is None else ("cubic-stiffness", beside)
+    state = conceal(44, kind, faults, 0.9).state
+    whole, law = plant(state), state.laws[0]
+    row = law.row[None, state.mesh.active]
+    rate, n = 4 * state.bench.band[1], 6000
+    signal = ramped(np.random.default_rng(1).standard_normal(n))
+    signal = np.fft.irfft(np.fft.rfft(signal) * (np.arange(n // 2 + 1) < n // 8), n)
+    over = 12
+    stretch, _, force = march.march(
+        coupling(whole, row, state.bench.band[1]),
+        march.Laws(np.array([law.kind]), np.array([[*law.constants, *np.zeros(8 - len(law.constants))]])),
+        finer(signal, over), 1 / (rate * over),
+    )  # fmt: skip
+    seen = replace(whole, outputs=row, carried_out=np.zeros(1), orders=np.zeros(1, int), extras=())
+    pushed = replace(seen, load=row[0], carried=0 * whole.carried)
+    made = (
+        answers(seen, [signal], rate, (0.0, rate / 2))[0][0]
+        - answers(pushed, [coarser(force[0], over)], rate, (0.0, rate / 2))[0][0]
+    )
+    error = np.linalg.norm(made - stretch[0, ::over]) / np.linalg.norm(made)
+    assert error < 1e-3

@@ -7,6 +7,7 @@ import pytest
 from scipy.linalg import eigh
 
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.places import all_terms, places_of
 from labnnum.diagnosis.sweep import sweep
 from labnnum.errors import ConfigError
@@ -223,6 +224,9 @@ def test_a_compliant_clamp_is_the_free_structure_on_springs(cantilever):
         at = replace(at, log_zeta=np.full_like(at.log_zeta, -20.0), theta=np.append(at.theta[:1], p))
         in_model = wide.response(at, [], 1j * lines).value[:, 0]
         np.testing.assert_allclose(in_model, exact, rtol=2e-3, atol=2e-3 * np.abs(exact).max())
+        below = Base(wide, at, np.zeros((wide.basis.shape[0], 0)), lines)
+        made = below.at(below.start())
+        np.testing.assert_allclose(made.lift * made.plain * made.gain, in_model, atol=1e-7 * np.abs(exact).max())
 
 
 def test_shear_and_rotary_inertia_make_a_timoshenko_beam(tmp_path):

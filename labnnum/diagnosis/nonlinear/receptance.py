@@ -118,10 +118,8 @@ class Base:
         rows = np.array([e.participation(c.dof, e.theta0) for c in e.outputs])
         self.high_out = rows @ e.high
         if e.is_base:
-            m = e.structure.matrices(e.theta0)
-            r = np.real(e.structure.rigid(e.theta0))
-            self.high_load = (-(np.real(m.M) @ r) @ e.high)[None]
-            self.rigid_out = rows @ r
+            self.high_load = (-np.real(e.structure.base_load(e.theta0)) @ e.high)[None]
+            self.rigid_out = rows @ np.real(e.structure.rigid(e.theta0))
         else:
             self.high_load = np.array([e.participation(e.inputs[0].dof, e.theta0)]) @ e.high
         first = e.state(e.theta0)

@@ -137,14 +137,20 @@ def sound(rng: Generator, bench: Bench, shaken: bool = True, viscous: bool = Fal
 
 
 def plant(state: State, stiffness: float = 1.0) -> Plant:
-    """The true structure in modes, its stiffness multiplied by `stiffness` (a drift)."""
+    """The true structure in modes, its stiffness multiplied by `stiffness` (a drift).
+
+    Beside a law what is lost is lost viscously, mode by mode, as much at every resonance: its march knows nothing else.
+    """
     bench, mesh = state.bench, state.mesh
     M, K, D = fe.assemble(mesh)
     a = mesh.active
     block = np.ix_(a, a)
-    square, shape = complex_modes(M[block], stiffness * K[block], stiffness * D[block])
+    lost = stiffness * D[block]
+    square, shape = complex_modes(M[block], stiffness * K[block], 0 * lost if state.laws else lost)
     omega = np.sqrt(np.maximum(np.real(square), 0))
     viscous = 2 * state.ratios[np.minimum(np.arange(a.size), MOST_MODES - 1)] * omega
+    if state.laws:
+        viscous = viscous + np.real(np.sum(shape * (lost @ shape), axis=0)) / np.maximum(omega, 1e-300)
     sensors = np.array([sensor_row(mesh, _where(state, s)) for s in bench.sensors])
     carried = _carried(state)
     load = -(M @ carried)[a] if bench.base is not None else _drive(state)[a]
