@@ -336,18 +336,25 @@ class _Tangent:
         return both[:, :, : loads.shape[1]], both[:, :, loads.shape[1] :].swapaxes(1, 2)
 
     def _slope(self, k: int, d: Matrices, omega: NDArray, x: NDArray, y: NDArray) -> NDArray:
+        out = np.zeros((omega.size, y.shape[1], x.shape[2]), complex)
+        if self.loads[k].any():
+            out += _times(y, self.loads[k])
+        if self.rows[k].any():
+            out += self.rows[k] @ x
         w = omega[:, None, None]
-        total = -(w**2) * _between(y, d.M, x) + 1j * w * _between(y, d.C, x) + _between(y, d.K, x)
-        total = -(total + 1j * _between(y, d.D, x)) + y @ self.loads[k] + self.rows[k] @ x
-        return np.moveaxis(total, 0, -1)
+        parts = [(f, a) for f, a in ((-(w**2), d.M), (1j * w, d.C), (1.0, d.K), (1j, d.D)) if a.any()]
+        if parts:  # on the rows and columns where any of them is not zero
+            held = np.any([a != 0 for _, a in parts], axis=0)
+            rows, columns = np.flatnonzero(held.any(axis=1)), np.flatnonzero(held.any(axis=0))
+            near = np.ascontiguousarray(y[:, :, rows])
+            left = sum(f * _times(near, a[np.ix_(rows, columns)]) for f, a in parts)
+            out -= left @ (x if columns.size == x.shape[1] else x[:, columns])
+        return np.moveaxis(out, 0, -1)
 
 
-def _between(y: NDArray, a: NDArray, x: NDArray) -> NDArray:
-    """Product y a x for every frequency, on the rows and columns where `a` is not zero."""
-    rows, columns = np.flatnonzero(a.any(axis=1)), np.flatnonzero(a.any(axis=0))
-    if rows.size == 0:
-        return np.zeros((x.shape[0], y.shape[1], x.shape[2]))
-    return (y[:, :, rows] @ a[np.ix_(rows, columns)]) @ x[:, columns]
+def _times(y: NDArray, a: NDArray) -> NDArray:
+    """Products y a for every frequency, (n_f, o, n) with (n, m), as one of all."""
+    return (y.reshape(-1, y.shape[2]) @ a).reshape(*y.shape[:2], a.shape[1])
 
 
 class _Place(NamedTuple):
