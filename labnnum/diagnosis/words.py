@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labnnum.diagnosis.nonlinear.decision import strays
 from labnnum.diagnosis.nonlinear.tie import tightness
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Diagnosis
@@ -64,7 +65,8 @@ def _found(d: Diagnosis) -> str:
         )
     return (
         f"{'; and '.join(parts)}.{told} The held-out error falls from {_percent(d.base_error[1])} to"
-        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)}).{_in_step(d)}{_equal(d)}{_beside(d)}"
+        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)})."
+        f"{_astray(d)}{_in_step(d)}{_equal(d)}{_beside(d)}"
     )
 
 
@@ -89,6 +91,17 @@ def _in_step(d: Diagnosis) -> str:
     return (
         " Small errors grow in this response, so that no free simulation follows it for long: law and data were"
         " compared in step with the motion measured at the place, on data held out too."
+    )
+
+
+def _astray(d: Diagnosis) -> str:
+    """Whether data held out show a steady state that the simulation does not stay in."""
+    found = d.detail.get("nonlinear")
+    if found is None or not found.named or not strays(found):
+        return ""
+    return (
+        " On data held out the simulation goes to another steady state than the structure was in, as it may next to a"
+        f" jump; along the motion that was measured the law leaves {_percent(found.shown)}."
     )
 
 

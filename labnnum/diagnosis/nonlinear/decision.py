@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.alike import Equals, others_of
 from labnnum.diagnosis.nonlinear.bench import Study, Tried
-from labnnum.diagnosis.nonlinear.errors import alone, base_errors, errors_of, foretold, noise_of, settled_on
+from labnnum.diagnosis.nonlinear.errors import (
+    alone,
+    base_errors,
+    errors_of,
+    foretold,
+    noise_of,
+    settled_on,
+    shown_error,
+)
 from labnnum.diagnosis.nonlinear.explore import GAINS, Prospect
 from labnnum.diagnosis.nonlinear.fitting import GROUPS, Made
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
@@ -81,6 +89,8 @@ class NonlinearAnswer:
     """Other places that move as that of the best law does: there it would do the same."""
     recorder: Recorder | None = None
     """The recorder's filter, where one was found: it is off the study's runs, and off those held out."""
+    shown: float = float("nan")
+    """Error over the runs held out with the laws' forces along the motion that these show, and not simulated."""
 
 
 NAMELESS = "a smooth law that the catalogue does not hold explains it best"
@@ -194,7 +204,16 @@ def decide(
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best, last.made, scatter), found, tuple(laws),
         misfit, plain, noise, extended_error, gained, tuple(orbits), scatter=scatter,
         held_out=tuple(o.run for o in test if o.run is not None), equal=others_of(equal or {}, best.spot),
+        shown=shown_error(joint, x, orbits, len(train)),
     )  # fmt: skip
+
+
+def strays(found: NonlinearAnswer) -> bool:
+    """Whether laws that leave next to nothing of the runs of the fit, and along the measured motion of those held out,
+    simulate these in another steady state than the structure's.
+    """
+    simulated = found.extended_error[1]
+    return found.misfit < MISFIT and ASTRAY * found.shown < simulated and ASTRAY * found.noise < simulated
 
 
 def _foretells(scores: tuple[tuple[float, int], tuple[float, int]], limits: Limits) -> bool:
@@ -309,6 +328,8 @@ BENT = 10.0
 """Price of the base beside the laws, of its entries, above which that excuse does not hold: sound ones pay up to 2."""
 LITTLE = 0.3
 """Part of the base's objective above which a fit that has no name says nothing of the place."""
+ASTRAY = 3.0
+"""Times the noise, and the error along the measured motion, beyond which a simulation has gone another way."""
 MISFIT = 3.0
 """Chi-square per value above which nothing is called explained,"""
 NEARLY = 0.1

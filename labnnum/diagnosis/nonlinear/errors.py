@@ -54,6 +54,19 @@ def _begun(joint: Joint, x: NDArray, first: int, tight: float | None) -> list[Or
     return [None if o is None or not np.isfinite(o.time).all() else o for o in marched]
 
 
+def shown_error(joint: Joint, x: NDArray, orbits: Sequence[Any], n_train: int) -> float:
+    """Relative RMS error over the runs held out with the laws' forces along the motion that these show; NaN where that
+    motion is not known.
+
+    Next to a jump a steady state that the structure was in may be one that its model does not have, or does not stay
+    in, at parameters within their errors: a simulation then ends in another, which says little about the law.
+    """
+    shown = _begun(joint, x, n_train, tightness(orbits[:n_train])) if joint.k else []
+    if not shown or any(o is None for o in shown):
+        return float("nan")
+    return errors_of(joint, x, [*orbits[:n_train], *shown], n_train)[1]
+
+
 def base_errors(
     found: Study, train: Sequence[Observation], test: Sequence[Observation], x: NDArray, scatter: Scatter
 ) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from labnnum.diagnosis.decide import told_at_all
-from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NonlinearAnswer
+from labnnum.diagnosis.nonlinear.decision import KNOWN, MISFIT, NonlinearAnswer, strays
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Diagnosis, Named
 from labnnum.diagnosis.words import next_experiment, summarise
@@ -56,8 +56,9 @@ def merged(
 
 def _halfway(found: NonlinearAnswer) -> bool:
     """Whether named laws leave far more than noise of data held out and a good part of what the base leaves; one that
-    was identified misses data by itself.
+    was identified misses data by itself. Where the model strays into another steady state, the motion that was measured
+    tells what the laws leave.
     """
-    left = found.extended_error[1]
+    left = found.shown if strays(found) else found.extended_error[1]
     far = left > max(PART * found.base_error[1], NOISY * found.noise)
     return bool(found.named) and far and not isinstance(found.study.engine.structure, ModalStructure)
