@@ -1,5 +1,7 @@
 """Strong laws from far away: tolerances that narrow step by step, and a contest that begins at the nominal model."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -64,6 +66,17 @@ def test_friction_that_holds_is_found_from_the_nominal_model(dry):
     assert (best.spot.place.id, best.spot.place.to) == ("2", "3")
     assert of_fit(best).p[0] == pytest.approx(LIMIT, rel=0.15)
     assert best.made.data_part < 1e-2 * calm.data_part / calm.count * best.made.count
+
+
+def test_a_place_that_the_nominal_model_does_not_show_is_found_from_the_base_of_the_widest_tolerance(dry):
+    """What peaks beside each other make of the motion may point elsewhere: here to the ground alone."""
+    bench, _, every = dry
+    plain = bench.joint([])
+    nominal = engine_start(plain)
+    found, _ = looked(plain, nominal, [s for s in every if s.place.kind == "ground"])
+    best = contest(bench, nominal, found, LAWS, look=partial(looked, plain, spots=every)).near[0]
+    assert (best.mechanism, best.spot.place.id, best.spot.place.to) == ("coulomb-friction", "2", "3")
+    assert of_fit(best).p[0] == pytest.approx(LIMIT, rel=0.15)
 
 
 def test_a_sound_base_has_no_contest():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +126,8 @@ def explore(
         near: list[Tried] = []
         if misled and carry_on and x is nominal:
             far = strong is not False and spent() < ONCE
-            held = contest(bench, nominal, found, LAWS, leads, progress) if far else Contest()
+            look = partial(looked, plain, spots=spots, unnamed=unnamed)
+            held = contest(bench, nominal, found, LAWS, leads, progress, look) if far else Contest()
             near, pairs = list(held.near), held.pairs
             if not strong and not pairs and (not near or near[0].made.data_part > LEAVES * base.data_part):
                 near = sorted([*near, *stuck(bench, quiet, found, HELD, LONG)], key=lambda t: t.cost)

@@ -30,7 +30,9 @@ PAYS = 4.0
 FAR = 3.0
 """Cost, of the least, above which a law is not carried on."""
 BEGUN, CARRIED, ENDED = 6, 3, 2
-"""Laws that are fitted with the widest tolerance, with the next, and to the end, at most."""
+"""Laws that are fitted with the widest tolerance, with the next, and to the end, at most;"""
+BOTH = 10
+"""and with the widest one where two bases show them."""
 
 
 def slackened(bench: Bench, slack: float) -> Bench:

@@ -10,8 +10,9 @@ graduated non-convexity).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import reduced
 from labnnum.diagnosis.nonlinear.slack import (
     BEGUN,
+    BOTH,
     BRIEF,
     CARRIED,
     ENDED,
@@ -63,6 +65,10 @@ HOPEFUL = 0.35
 """Part of that above which no law is."""
 
 
+Look = Callable[[NDArray], tuple[Sequence[Recovered], Sequence[Lead]]]
+"""What a base vector shows: forces at every spot, and what laws promise at the nearest."""
+
+
 @dataclass(frozen=True, eq=False)
 class Contest:
     """Laws alone, best first, and those of which the first beside a second came far nearer than it did alone."""
@@ -73,7 +79,7 @@ class Contest:
 
 def contest(
     bench: Bench, x: NDArray, found: Sequence[Recovered], laws: Sequence[str], leads: Sequence[Lead] = (),
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None, look: Look | None = None,
 ) -> Contest:  # fmt: skip
     """Laws at the spots whose force explains most of the distortion, fitted from far away; best first.
 
@@ -87,13 +93,21 @@ def contest(
         Mechanisms that are looked at.
     leads : sequence of Lead
         What the recovered motion promises; those at the spots are looked at too.
+    look : callable, optional
+        Forces and leads as another base vector shows them: the base alone, fitted with the widest tolerance, has the
+        peaks where they are, and the nominal one beside them. Its foremost spots are looked at as well.
     """
     ladder, alone = _begins(bench, x)
     if alone is None:
         return Contest()
     progress("simulating strong laws")
     wide = slackened(bench, ladder[0])
-    begun = _begun(wide, x, _promising(bench, x, found, laws, leads, ladder[0]), CLEAR * alone.data_part)
+    shown = [(x, found, leads)]
+    if look is not None:  # that base may be bent already, so that its spots are looked at from the nominal one too
+        seen, more = look(alone.x)
+        shown += [(alone.x, seen, more), (x, seen, ())]
+    promised = _once(_promising(bench, *one, laws, ladder[0]) for one in shown)
+    begun = _begun(wide, promised, BEGUN if look is None else BOTH, CLEAR * alone.data_part)
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
     near = nearest_of([*near, *_softer(wide, x, near, CLEAR * alone.data_part)], CARRIED)
     if not near or near[0].cost > HELPS * alone.objective:
@@ -156,12 +170,14 @@ def _begins(bench: Bench, x: NDArray) -> tuple[Sequence[float], Made | None]:
     return (), None
 
 
-def _begun(wide: Bench, x: NDArray, leads: Sequence[Lead], clear: float) -> list[Tried]:
-    """The first leads fitted with the widest tolerance; only those at its place once one leaves less than `clear`."""
+def _begun(wide: Bench, leads: Sequence[tuple[Lead, NDArray]], most: int, clear: float) -> list[Tried]:
+    """The first leads, `most` of them, fitted with the widest tolerance, each from its base; only those at its place
+    once one leaves less than `clear`.
+    """
     out: list[Tried] = []
     place: Place | None = None
-    for lead in leads:
-        if len(out) == BEGUN:
+    for lead, x in leads:
+        if len(out) == most:
             break
         if place is not None and lead.spot.place != place:
             continue
@@ -177,25 +193,35 @@ def _begun(wide: Bench, x: NDArray, leads: Sequence[Lead], clear: float) -> list
 
 
 def _promising(
-    bench: Bench, x: NDArray, found: Sequence[Recovered], laws: Sequence[str], leads: Sequence[Lead], slack: float
-) -> list[Lead]:
-    """Every law at the foremost spots with the strength that leaves least of the loudest run, the base as it is; those
-    that leave least first.
+    bench: Bench, x: NDArray, found: Sequence[Recovered], leads: Sequence[Lead], laws: Sequence[str], slack: float
+) -> list[tuple[Lead, NDArray]]:  # fmt: skip
+    """Every law at the spots that are foremost with the base `x`, with the strength that leaves least of the loudest
+    run and that base as it is; those that leave least first.
     """
-    by_share = sorted(found, key=lambda q: -q.share)[:SPOTS]
     high = int(np.argmax([r.level for r in bench.runs]))
     loud = slackened(replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],)), slack)
     loud = replace(loud, closing=slack / ROUGHLY)
     out: list[tuple[float, Lead]] = []
-    for q in by_share:
-        if q.share < ALIKE * by_share[0].share:
+    foremost = sorted(found, key=lambda q: -q.share)[:SPOTS]
+    for q in foremost:
+        if q.share < ALIKE * foremost[0].share:
             continue
         own = [lead for lead in leads if np.array_equal(np.abs(lead.spot.column), np.abs(q.spot.column))]
         for law in laws:
             some = [*sizes_of(bench, q, law, high), *(lead for lead in own if lead.mechanism == law)]
             looked = [(left_by(loud, x, [lead]), lead) for lead in some]
             out += sorted((p for p in looked if np.isfinite(p[0])), key=lambda pair: pair[0])[:1]
-    return [lead for _, lead in sorted(out, key=lambda pair: pair[0])]
+    return [(lead, x) for _, lead in sorted(out, key=lambda pair: pair[0])]
+
+
+def _once(promised: Iterable[Sequence[tuple[Lead, NDArray]]]) -> list[tuple[Lead, NDArray]]:
+    """What several bases promise, in turn: the first of each law at each spot, on either side of it, from each base."""
+    first: dict[tuple[str, bytes, int], tuple[Lead, NDArray]] = {}
+    for together in zip_longest(*promised):
+        for one in together:
+            if one is not None:
+                first.setdefault((one[0].mechanism, np.abs(one[0].spot.column).tobytes(), id(one[1])), one)
+    return list(first.values())
 
 
 def left_by(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> float:
