@@ -132,7 +132,7 @@ def test_a_law_does_not_stand_beside_what_time_marching_lacks():
         conceal(1, "chain", ("cubic-stiffness", "viscoelastic"))
 
 
-@pytest.mark.parametrize("excitation", ["multisine", "random", "sweep", "hammer"])
+@pytest.mark.parametrize("excitation", ["multisine", "sweep", "hammer"])
 def test_a_sound_structure_leaves_little_under_any_excitation_and_friction_much(excitation):
     sound = misfit(conceal(41, "chain", excitation=excitation), marched=True)
     rubbing = misfit(conceal(41, "chain", "coulomb-friction", 0.8, excitation))
