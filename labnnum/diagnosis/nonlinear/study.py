@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,8 +89,9 @@ def contested(
     on every line first, which hold where the motion that is recovered misleads; and pairs of which that holds.
     """
     bench, x = seen.bench, seen.calm.x
-    found, leads = looked(bench.joint([]), x, [q.spot for q in seen.recovered])
-    held = contest(bench, x, found, LAWS, leads, progress)
+    look = partial(looked, bench.joint([]), spots=[q.spot for q in seen.recovered])
+    found, leads = look(x)
+    held = contest(bench, x, found, LAWS, leads, progress, look)
     return plainer(sorted([*tried, *with_rounded(bench, list(held.near))], key=lambda t: t.cost)), held.pairs
 
 
