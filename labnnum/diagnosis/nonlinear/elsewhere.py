@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit
-from labnnum.diagnosis.nonlinear.explore import LINES
 from labnnum.diagnosis.nonlinear.laws import SHAPES
+from labnnum.diagnosis.nonlinear.lines import LINES
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.receptance import Base
@@ -31,8 +31,13 @@ def as_well(found: Study, best: Tried, every: Sequence[Spot], scatter: Scatter) 
     The parameters are those that make the same of the motion there.
     """
     bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES)
+    return answered(bench, found.quiet.x, best, every)
+
+
+def answered(bench: Bench, x: NDArray, best: Tried, every: Sequence[Spot]) -> list[tuple[float, Lead]]:
+    """The same over the bench's runs and lines, the base begun from the vector `x`."""
     plain = bench.joint([])
-    x = plain.start(found.quiet.x[: plain.n_base])
+    x = plain.start(x[: plain.n_base])
     background = Background(plain, x)
     own = replace(best.spot, axis=best.spot.axis.lstrip("-"))
     others = [s for s in every if (s.place, s.axis) != (own.place, own.axis)]

@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.effort import ONCE, spent
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.leads import law_leads, ranked
-from labnnum.diagnosis.nonlinear.lines import choose_lines
+from labnnum.diagnosis.nonlinear.lines import LINES, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Recovered, Spot, recover
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import Run
@@ -28,10 +28,6 @@ LAWS = (
     "stick-slip",
 )  # fmt: skip
 """Laws that are regressed on the recovered motion; hysteresis starts from stick-slip."""
-LINES = 160
-"""Lines of a run on which laws are sought."""
-
-
 NEAREST = 5
 """Spots, of either order, whose recovered motion is asked for every law."""
 IDLE = 0.8

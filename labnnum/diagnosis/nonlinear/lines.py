@@ -10,6 +10,8 @@ from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.nonlinear.run import Run
 
+LINES = 160
+"""Lines of a run on which laws are sought, of hits; see `choose_lines` for others."""
 NEAR = 9
 """Lines over which the size of a response to noise or to a hit is averaged."""
 

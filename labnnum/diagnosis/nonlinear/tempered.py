@@ -22,6 +22,7 @@ from labnnum.diagnosis.nonlinear.duet import duets
 from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
+from labnnum.diagnosis.nonlinear.nearby import heard, moved
 from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import reduced
 from labnnum.diagnosis.nonlinear.slack import (
@@ -109,7 +110,9 @@ def contest(
     promised = _once(_promising(bench, *one, laws, ladder[0]) for one in shown)
     begun = _begun(wide, promised, BEGUN if look is None else BOTH, CLEAR * alone.data_part)
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
-    near = nearest_of([*near, *_softer(wide, x, near, CLEAR * alone.data_part)], CARRIED)
+    noise = heard(bench, wide)
+    near = nearest_of([*near, *_softer(wide, x, near, min(CLEAR * alone.data_part, noise * alone.count))], CARRIED)
+    near = nearest_of([*near, *moved(wide, near, [q.spot for q in found], noise)], CARRIED)
     if not near or near[0].cost > HELPS * alone.objective:
         return Contest()
     pairs = duets(bench, near, [q.spot for q in found], laws, ladder)

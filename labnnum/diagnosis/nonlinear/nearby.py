@@ -1,0 +1,58 @@
+"""A strong law's place: where else its force would do as well, and whether the law does better there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.elsewhere import answered
+from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.diagnosis.nonlinear.slack import BRIEF, FAR, SETTLED, STEPS
+from labnnum.mechanisms.base import Place
+
+ROUNDS, OTHERS, ALMOST = 3, 4, 0.9
+"""How often a law moves on; places at which it is tried each time, at most; and the part of what its force removes
+where it is that the force must remove there."""
+SOUND = 4.0
+"""Times what noise leaves, up to which a law leaves nothing."""
+
+
+def heard(bench: Bench, wide: Bench) -> float:
+    """Chi-square per value that noise leaves at most of a law that explains all, with the tolerance of `wide`."""
+    parts = [np.ravel((a.sigma / b.sigma) ** 2) for a, b in zip(bench.lines, wide.lines, strict=True)]
+    return SOUND * float(np.mean(np.concatenate(parts)))
+
+
+def moved(wide: Bench, near: Sequence[Tried], spots: Sequence[Spot], noise: float) -> list[Tried]:
+    """The nearest law where it does better than at its own place, if it leaves more than `noise` a value there.
+
+    Where a law holds a structure, the force that it makes at one place a slightly larger one makes at the next, and
+    the share of the distortion tells little with few sensors. The force that was found says where the like would do as
+    well; the law is fitted there, and from the best once more.
+    """
+    best = min(near, key=lambda t: t.cost, default=None)
+    if best is None:
+        return []
+    out: list[Tried] = []
+    seen: set[tuple[Place, str]] = {_where(best)}
+    for _ in range(ROUNDS):
+        if best.made.data_part < noise * best.made.count:
+            break
+        base = best.made.x[: best.made.bare]
+        leads = [q for gain, q in answered(wide, best.made.x, best, spots) if gain > ALMOST]
+        fresh = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in seen][:OTHERS]
+        made = [one for q in fresh if (one := wide.direct((base,), q, BRIEF, soften=False)) is not None]
+        seen |= {(q.spot.place, q.spot.axis.lstrip("-")) for q in fresh}
+        made = [wide.carry_on(t, STEPS, last=False) if t.cost < FAR * best.cost else t for t in made]
+        first = min(made, key=lambda t: t.cost, default=best)
+        if first.cost >= best.cost:
+            break
+        best = wide.carry_on(first, SETTLED, last=False)
+        out.append(best)
+    return out
+
+
+def _where(t: Tried) -> tuple[Place, str]:
+    return t.spot.place, t.spot.axis.lstrip("-")
