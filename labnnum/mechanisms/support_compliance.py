@@ -25,6 +25,8 @@ from labnnum.mechanisms.geometry import dof_rows
 from labnnum.mechanisms.laws import Release, Spring
 from labnnum.parameters import Parameter
 
+FARTHEST = 300.0
+"""Bound of a compliance, in units of the one that changes some mode's squared frequency by itself at first order."""
 GROSS = np.array([0.01, 0.05, 0.2, 1.0, 4.0, 15.0])
 """Sizes of a search for two compliances at once; clamps of beams may give far more than first order tells."""
 
@@ -90,7 +92,7 @@ def _term(
     own = np.ix_(pick, pick)
     law = Release(held.stiffness[own], held.mass[own], names, units)
     scale = np.array([scales[i] for i in pick])
-    parameters = tuple(Parameter(n, 0.0, 0.0, 300.0 * x, u) for n, x, u in zip(names, scale, units, strict=True))
+    parameters = tuple(Parameter(n, 0.0, 0.0, FARTHEST * x, u) for n, x, u in zip(names, scale, units, strict=True))
     group = Group(law, held.load[:, pick], 0, held.gain, held.static[:, pick], held.own_load[pick])
     variant = " and ".join(held.axes[i] for i in pick)
     change = Freed(law, held.static[:, pick], held.load[:, pick], held.own_load[pick], held.gain)

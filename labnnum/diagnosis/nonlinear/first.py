@@ -27,6 +27,7 @@ from labnnum.diagnosis.nonlinear.beside import (
     supposed,
 )
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
+from labnnum.diagnosis.nonlinear.clamps import giving
 from labnnum.diagnosis.nonlinear.decision import (
     EQUAL,
     FOUND,
@@ -235,6 +236,9 @@ class _Whole:
             again = self._unsprung(second, under) if under is not None and twice(second) else None
             second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
         elif not sure:
+            on_clamps = self._giving() if early else None
+            if on_clamps is not None:
+                return on_clamps
             whole = self.law(self.engine, known=self.known, strong=False if early else None)
             if found is None or (whole is not None and whole.misfit < found.misfit):
                 found = whole
@@ -247,6 +251,16 @@ class _Whole:
             found, self.faults, self.of_channels = second, under.faults, under.named
             self._mend(self.faults)
         return found
+
+    def _giving(self) -> NonlinearAnswer | None:
+        """A strong law on the structure of which a clamp gives; None where that does not explain the runs."""
+        self.progress("searching for a strong law on a clamp that gives")
+        for on in giving(self.engine, self.places):
+            with counted():  # it begins anew, on another structure
+                made = self.law(on, suspicious=False, strong=True)
+            if made is not None and made.named and made.lying is None and clear(made):
+                return made
+        return None
 
     def _mend(self, faults: Sequence[Fault]) -> None:
         """Takes faults of channels off all runs."""
