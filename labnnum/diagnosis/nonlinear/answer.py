@@ -25,7 +25,7 @@ from labnnum.diagnosis.nonlinear.decision import (
 )
 from labnnum.diagnosis.nonlinear.detect import repeating, signs
 from labnnum.diagnosis.nonlinear.effort import LAST, counted, spent, tired
-from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
+from labnnum.diagnosis.nonlinear.explore import LONG, MISLED, NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.fast import fast_kin
 from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.further import needed
@@ -44,6 +44,7 @@ from labnnum.diagnosis.nonlinear.study import (
     base_again,
     corners,
     fine_enough,
+    from_afar,
     nameless_kin,
     of_known,
     refined,
@@ -235,6 +236,9 @@ class _Search:
         """The laws that the motions promise, fitted by simulation."""
         if given is not None and seen.near[0].more:
             return study_of(seen, list(seen.near), self.scatter, self.limits.further)
+        misled = seen.calm.data_part > MISLED * seen.calm.count  # strong laws were sought already
+        if self.far(seen) and not misled and not tired():
+            seen = from_afar(seen, self.progress)
         if seen.pairs and (two := self.both(seen, pairs=seen.pairs)) is not None:
             return two
         return self.both(seen) if self.far(seen) else self.pursued(seen)

@@ -88,11 +88,22 @@ def contested(
     """The laws that were simulated, best first, and those that win from the base of the quietest level with a tolerance
     on every line first, which hold where the motion that is recovered misleads; and pairs of which that holds.
     """
+    near, pairs = _from_afar(seen, progress)
+    return plainer(sorted([*tried, *near], key=lambda t: t.cost)), pairs
+
+
+def from_afar(seen: Prospect, progress: Callable[[str], None]) -> Prospect:
+    """What the motions promise with the laws that win so, where none that was followed along the motion comes near."""
+    near, pairs = _from_afar(seen, progress)
+    return replace(seen, near=tuple(sorted([*seen.near, *near], key=lambda t: t.cost)), pairs=pairs or seen.pairs)
+
+
+def _from_afar(seen: Prospect, progress: Callable[[str], None]) -> tuple[list[Tried], tuple[Tried, ...]]:
     bench, x = seen.bench, seen.calm.x
     look = partial(looked, bench.joint([]), spots=[q.spot for q in seen.recovered])
     found, leads = look(x)
     held = contest(bench, x, found, LAWS, leads, progress, look)
-    return plainer(sorted([*tried, *with_rounded(bench, list(held.near))], key=lambda t: t.cost)), held.pairs
+    return with_rounded(bench, list(held.near)), held.pairs
 
 
 def of_known(
