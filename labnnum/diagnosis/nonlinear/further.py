@@ -176,8 +176,8 @@ the noise has a shape too."""
 def needed(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float, lines: int = 250) -> list[Tried]:
     """The laws of a chain without those that it can spare, each fitted with those before it.
 
-    A law is spared where the others, fitted again, lose less than `alarm` without it, or next to nothing a value. The last fit of the chain that is
-    left holds all of its laws, the one that is missed most first.
+    A law is spared where the others, fitted again, lose less than `alarm` without it, or next to nothing a value. The
+    last fit of the chain that is left holds all of its laws, the one that is missed most first.
     """
     chosen = [choose_lines(r, lines, scatter.floor) for r in study.runs]
     fine = not tired()
