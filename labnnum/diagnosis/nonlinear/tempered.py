@@ -109,9 +109,10 @@ def contest(
         shown += [(alone.x, seen, more), (x, seen, ())]
     promised = _once(_promising(bench, *one, laws, ladder[0]) for one in shown)
     begun = _begun(wide, promised, BEGUN if look is None else BOTH, CLEAR * alone.data_part)
+    begun += _kin(wide, promised, begun, CLEAR * alone.data_part)
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
     noise = heard(bench, wide)
-    near = nearest_of([*near, *_softer(wide, x, near, min(CLEAR * alone.data_part, noise * alone.count))], CARRIED)
+    near = nearest_of([*near, *_turned(wide, x, near, min(CLEAR * alone.data_part, noise * alone.count))], CARRIED)
     near = nearest_of([*near, *moved(wide, near, [q.spot for q in found], noise)], CARRIED)
     if not near or near[0].cost > HELPS * alone.objective:
         return Contest()
@@ -147,18 +148,37 @@ def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
     return t
 
 
-def _softer(wide: Bench, x: NDArray, near: Sequence[Tried], clear: float) -> list[Tried]:
-    """What yields bit by bit in the stead of a slider that comes nearest, if that leaves more than `clear` or bends the
-    base; each from the base vector `x`.
+def _turned(wide: Bench, x: NDArray, near: Sequence[Tried], clear: float) -> list[Tried]:
+    """Laws of the same place and size in the stead of the one that comes nearest, if that leaves more than `clear` or
+    bends the base: of a slider what yields bit by bit, of a stop on one side stops on both, and the other way round;
+    each from the base vector `x`.
     """
     best = min(near, key=lambda t: t.cost, default=None)
-    if best is None or best.mechanism != "stick-slip":
-        return []
-    if best.made.data_part < clear and best.made.prior_part < PAYS * best.made.n_base:
+    if best is None or (best.made.data_part < clear and best.made.prior_part < PAYS * best.made.n_base):
         return []
     p = best.made.whole(0)
-    made = [wide.direct((x,), lead, STEPS, soften=False) for lead in (smooth_of(best.lead, p), spread_of(best.lead, p))]
+    made = [wide.direct((x,), lead, STEPS, soften=False) for lead in _forms(best.lead, p)]
     return [wide.carry_on(t, SETTLED, last=False) for t in made if t is not None]
+
+
+def _forms(lead: Lead, p: NDArray) -> list[Lead]:
+    """Leads of laws that make a force of the same size at the same motion as one with the parameters `p`."""
+    if lead.mechanism == "stick-slip":
+        return [smooth_of(lead, p), spread_of(lead, p)]
+    half, twice = np.array([0.5, 1.0]), np.array([2.0, 1.0])
+    plain = Spot(lead.spot.place, lead.spot.axis.lstrip("-"), lead.spot.column)
+    if lead.mechanism == "one-sided-gap":
+        return [Lead(plain, "clearance", _resized(p, half), lead.gain)]
+    if lead.mechanism == "clearance":
+        back = Spot(plain.place, "-" + plain.axis, plain.column)
+        return [Lead(side, "one-sided-gap", _resized(p, twice), lead.gain) for side in (plain, back)]
+    return []
+
+
+def _resized(p: NDArray, by: NDArray) -> NDArray[np.float64]:
+    out = p.copy()
+    out[: by.size] *= by
+    return out
 
 
 def _begins(bench: Bench, x: NDArray) -> tuple[Sequence[float], Made | None]:
@@ -193,6 +213,20 @@ def _begun(wide: Bench, leads: Sequence[tuple[Lead, NDArray]], most: int, clear:
         if one.made.data_part < clear:
             place = lead.spot.place
     return out
+
+
+def _kin(
+    wide: Bench, leads: Sequence[tuple[Lead, NDArray]], begun: Sequence[Tried], clear: float
+) -> list[Tried]:  # fmt: skip
+    """The other laws at the place of the one that came nearest, where none left less than `clear`: what a law promises
+    with a strength of a few that are looked at says less of it than where it acts.
+    """
+    best = min(begun, key=lambda t: t.cost, default=None)
+    if best is None or best.made.data_part < clear:
+        return []
+    done = [t.lead for t in begun]
+    rest = [(q, x) for q, x in leads if q.spot.place == best.spot.place and not any(q is lead for lead in done)]
+    return _begun(wide, rest, BEGUN, clear)
 
 
 def _promising(
