@@ -103,10 +103,12 @@ def contest(
         return Contest()
     progress("simulating strong laws")
     wide = slackened(bench, ladder[0])
-    shown = [(x, found, leads)]
+    shown = [(x, _foremost(found), leads)]
     if look is not None:  # that base may be bent already, so that its spots are looked at from the nominal one too
         seen, more = look(alone.x)
-        shown += [(alone.x, seen, more), (x, seen, ())]
+        ahead, have = _foremost(seen), [q.spot.column for q in shown[0][1]]
+        other = [q for q in ahead if not any(np.array_equal(q.spot.column, c) for c in have)]
+        shown += [(alone.x, ahead, more), (x, other, ())]
     promised = _once(_promising(bench, *one, laws, ladder[0]) for one in shown)
     begun = _begun(wide, promised, BEGUN if look is None else BOTH, CLEAR * alone.data_part)
     begun += _kin(wide, promised, begun, CLEAR * alone.data_part)
@@ -229,20 +231,23 @@ def _kin(
     return _begun(wide, rest, BEGUN, clear)
 
 
+def _foremost(found: Sequence[Recovered]) -> list[Recovered]:
+    """The spots whose force explains most of the distortion."""
+    first = sorted(found, key=lambda q: -q.share)[:SPOTS]
+    return [q for q in first if q.share >= ALIKE * first[0].share]
+
+
 def _promising(
     bench: Bench, x: NDArray, found: Sequence[Recovered], leads: Sequence[Lead], laws: Sequence[str], slack: float
 ) -> list[tuple[Lead, NDArray]]:  # fmt: skip
-    """Every law at the spots that are foremost with the base `x`, with the strength that leaves least of the loudest
-    run and that base as it is; those that leave least first.
+    """Every law at some spots, with the strength that leaves least of the loudest run and the base `x` as it is; those
+    that leave least first.
     """
     high = int(np.argmax([r.level for r in bench.runs]))
     loud = slackened(replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],)), slack)
     loud = replace(loud, closing=slack / ROUGHLY)
     out: list[tuple[float, Lead]] = []
-    foremost = sorted(found, key=lambda q: -q.share)[:SPOTS]
-    for q in foremost:
-        if q.share < ALIKE * foremost[0].share:
-            continue
+    for q in found:
         own = [lead for lead in leads if np.array_equal(np.abs(lead.spot.column), np.abs(q.spot.column))]
         for law in laws:
             some = [*sizes_of(bench, q, law, high), *(lead for lead in own if lead.mechanism == law)]
