@@ -8,6 +8,7 @@ the model, of the size that first order says does so much, both come together fr
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.places import Places
@@ -31,20 +32,40 @@ def giving(engine: Engine, places: Places) -> list[Engine]:
         released = t.place.id in site.held and "fitted" in t.data
         if released and t.n > (widest[t.place.id].n if t.place.id in widest else 0):
             widest[t.place.id] = t
-    out = []
-    for t in widest.values():
-        try:
-            structure = ExtendedStructure(engine.structure, (Added(t, tuple(_open(p) for p in t.parameters)),))
-            wider = Engine(structure, engine.outputs, engine.inputs, engine.band)
-        except (LabnnumError, np.linalg.LinAlgError):
-            continue
-        n = min(wider.zeta0.size, engine.zeta0.size)
-        wider.zeta0[:n] = engine.zeta0[:n]
-        out.append(wider)
-    return out
+    made = (_with(engine, Added(t, tuple(_open(p) for p in t.parameters))) for t in widest.values())
+    return [wider for wider in made if wider is not None]
+
+
+def nearer_to(engine: Engine, wider: Engine, x: NDArray) -> Engine | None:
+    """The engine of the structure with a clamp as a fit on `wider`, one of `giving`, has left it at the vector `x`: the
+    modes of another clamp are a basis that gives its frequencies some percent too high.
+    """
+    (added,) = wider.structure.added if isinstance(wider.structure, ExtendedStructure) else (None,)
+    if added is None:
+        return None
+    n = engine.theta0.size
+    values = zip(added.parameters, x[n : n + len(added.parameters)], strict=True)
+    return _with(engine, Added(added.term, tuple(_about(p, max(float(v), 0.0)) for p, v in values)))
+
+
+def _with(engine: Engine, added: Added) -> Engine | None:
+    """The engine of the structure that holds a mechanism besides; None where there is none."""
+    try:
+        structure = ExtendedStructure(engine.structure, (added,))
+        wider = Engine(structure, engine.outputs, engine.inputs, engine.band)
+    except (LabnnumError, np.linalg.LinAlgError):
+        return None
+    n = min(wider.zeta0.size, engine.zeta0.size)
+    wider.zeta0[:n] = engine.zeta0[:n]
+    return wider
 
 
 def _open(p: Parameter) -> Parameter:
     """A compliance begun where first order says that it doubles a mode's flexibility (`SupportCompliance`)."""
     first = p.upper / FARTHEST
     return Parameter(p.name, first, p.lower, p.upper, p.unit, WIDE * first)
+
+
+def _about(p: Parameter, value: float) -> Parameter:
+    """A compliance begun at a value, of which it may be off by as much, or by as much as it was begun with."""
+    return Parameter(p.name, value, p.lower, max(p.upper, value), p.unit, max(value, p.spread))

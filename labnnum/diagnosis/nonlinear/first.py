@@ -27,7 +27,7 @@ from labnnum.diagnosis.nonlinear.beside import (
     supposed,
 )
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
-from labnnum.diagnosis.nonlinear.clamps import giving
+from labnnum.diagnosis.nonlinear.clamps import giving, nearer_to
 from labnnum.diagnosis.nonlinear.decision import (
     EQUAL,
     FOUND,
@@ -258,8 +258,14 @@ class _Whole:
         for on in giving(self.engine, self.places):
             with counted():  # it begins anew, on another structure
                 made = self.law(on, suspicious=False, strong=True)
-            if made is not None and made.named and made.lying is None and clear(made):
-                return made
+                if made is None or not made.named or made.lying is not None or not clear(made):
+                    continue
+                nearer = nearer_to(self.engine, on, made.laws[-1].made.x)
+                leads = (tuple(leads_of(made.laws)),)
+                if nearer is None:
+                    return made
+                again = self._with((), nearer, given=Given(leads, nominal(nearer, nearer.theta0), NOISY))
+            return again if again is not None and again.named and again.misfit < made.misfit else made
         return None
 
     def _mend(self, faults: Sequence[Fault]) -> None:

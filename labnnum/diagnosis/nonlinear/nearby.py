@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
 from labnnum.diagnosis.nonlinear.elsewhere import answered
@@ -25,12 +26,15 @@ def heard(bench: Bench, wide: Bench) -> float:
     return SOUND * float(np.mean(np.concatenate(parts)))
 
 
-def moved(wide: Bench, near: Sequence[Tried], spots: Sequence[Spot], noise: float) -> list[Tried]:
+def moved(
+    wide: Bench, x: NDArray, near: Sequence[Tried], spots: Sequence[Spot], noise: float
+) -> list[Tried]:  # fmt: skip
     """The nearest law where it does better than at its own place, if it leaves more than `noise` a value there.
 
     Where a law holds a structure, the force that it makes at one place a slightly larger one makes at the next, and
     the share of the distortion tells little with few sensors. The force that was found says where the like would do as
-    well; the law is fitted there, and from the best once more.
+    well; the law is fitted there, from its own base and from the vector `x`, and
+    from the best once more.
     """
     best = min(near, key=lambda t: t.cost, default=None)
     if best is None:
@@ -40,10 +44,10 @@ def moved(wide: Bench, near: Sequence[Tried], spots: Sequence[Spot], noise: floa
     for _ in range(ROUNDS):
         if best.made.data_part < noise * best.made.count:
             break
-        base = best.made.x[: best.made.bare]
+        bases = best.made.x[: best.made.bare], x
         leads = [q for gain, q in answered(wide, best.made.x, best, spots) if gain > ALMOST]
         fresh = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in seen][:OTHERS]
-        made = [one for q in fresh if (one := wide.direct((base,), q, BRIEF, soften=False)) is not None]
+        made = [one for q in fresh if (one := wide.direct(bases, q, BRIEF, soften=False)) is not None]
         seen |= {(q.spot.place, q.spot.axis.lstrip("-")) for q in fresh}
         made = [wide.carry_on(t, STEPS, last=False) if t.cost < FAR * best.cost else t for t in made]
         first = min(made, key=lambda t: t.cost, default=best)

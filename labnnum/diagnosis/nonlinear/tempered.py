@@ -115,7 +115,7 @@ def contest(
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
     noise = heard(bench, wide)
     near = nearest_of([*near, *_turned(wide, x, near, min(CLEAR * alone.data_part, noise * alone.count))], CARRIED)
-    near = nearest_of([*near, *moved(wide, near, [q.spot for q in found], noise)], CARRIED)
+    near = nearest_of([*near, *moved(wide, x, near, [q.spot for q in found], noise)], CARRIED)
     if not near or near[0].cost > HELPS * alone.objective:
         return Contest()
     pairs = duets(bench, near, [q.spot for q in found], laws, ladder)
@@ -151,15 +151,18 @@ def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
 
 
 def _turned(wide: Bench, x: NDArray, near: Sequence[Tried], clear: float) -> list[Tried]:
-    """Laws of the same place and size in the stead of the one that comes nearest, if that leaves more than `clear` or
+    """Laws of the same place and size in the stead of those that come nearest, if the first leaves more than `clear` or
     bends the base: of a slider what yields bit by bit, of a stop on one side stops on both, and the other way round;
     each from the base vector `x`.
     """
     best = min(near, key=lambda t: t.cost, default=None)
     if best is None or (best.made.data_part < clear and best.made.prior_part < PAYS * best.made.n_base):
         return []
-    p = best.made.whole(0)
-    made = [wide.direct((x,), lead, STEPS, soften=False) for lead in _forms(best.lead, p)]
+    leads: dict[tuple[str, bytes], Lead] = {}
+    for t in sorted(near, key=lambda t: t.cost):
+        for lead in _forms(t.lead, t.made.whole(0)):
+            leads.setdefault((lead.mechanism, lead.acting().column.tobytes()), lead)
+    made = [wide.direct((x,), lead, STEPS, soften=False) for lead in leads.values()]
     return [wide.carry_on(t, SETTLED, last=False) for t in made if t is not None]
 
 

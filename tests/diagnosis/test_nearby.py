@@ -1,0 +1,102 @@
+"""A strong law moves on to its place, takes the form that its motion asks for, and stands on a clamp that gives."""
+
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis.nonlinear.clamps import giving, nearer_to
+from labnnum.diagnosis.nonlinear.explore import LAWS, engine_start, looked
+from labnnum.diagnosis.nonlinear.force import N_P
+from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.nearby import SOUND, heard, moved
+from labnnum.diagnosis.nonlinear.slack import BRIEF, SETTLED, slackened
+from labnnum.diagnosis.nonlinear.tempered import contest
+from labnnum.diagnosis.observe import observe_all
+from labnnum.diagnosis.places import places_of
+from labnnum.nonlinear import Element
+from tests.diagnosis.test_engine import FORCE, beam, engine
+from tests.diagnosis.test_nonlinear import joint_23
+from tests.diagnosis.test_stuck import bench_of
+from tests.diagnosis.test_tempered import LIMIT, recorded
+
+STOP = 4000.0, 2e-3
+"""Stiffness (N/m) and gap (m) of stops on both sides."""
+
+
+def bench_with(element, levels=(1.0, 4.0, 16.0)):
+    return bench_of(observe_all([recorded([element], level) for level in levels]))
+
+
+@pytest.fixture(scope="module")
+def dry():
+    return bench_with(Element("coulomb", joint_23(), (LIMIT,)))
+
+
+def lead_at(every, place, mechanism, *values):
+    p = np.zeros(N_P)
+    p[: len(values)] = values
+    return Lead(next(s for s in every if str(s.place) == place), mechanism, p, 0.0)
+
+
+def test_noise_leaves_less_the_wider_the_tolerance(dry):
+    bench = dry[0]
+    left = [heard(bench, slackened(bench, slack)) for slack in (0.0, 0.01, 0.1, 0.3)]
+    assert left[0] == pytest.approx(SOUND)
+    assert all(a > b > 0 for a, b in pairwise(left))
+
+
+def test_a_law_beside_its_place_moves_on_to_it(dry):
+    bench, _, every = dry
+    wide = slackened(bench, 0.3)
+    x = engine_start(bench.joint([]))
+    beside = wide.carry_on(
+        wide.direct((x,), lead_at(every, "ground 3", "coulomb-friction", 1.0), BRIEF), SETTLED, last=False
+    )
+    on = moved(wide, x, [beside], every, heard(bench, wide))
+    assert str(on[-1].spot.place) == "joint 2-3"
+    assert on[-1].cost < 0.5 * beside.cost
+    assert on[-1].made.law(0)[0][0] == pytest.approx(LIMIT, rel=0.2)
+
+
+def test_a_law_at_its_place_stays(dry):
+    bench, _, every = dry
+    wide = slackened(bench, 0.3)
+    x = engine_start(bench.joint([]))
+    right = wide.carry_on(wide.direct((x,), lead_at(every, "joint 2-3", "coulomb-friction", 1.0), BRIEF), SETTLED)
+    assert moved(wide, x, [right], every, 0.0) == []
+    assert moved(wide, x, [], every, 0.0) == []
+
+
+def test_stops_on_both_sides_are_found_by_the_one_on_either():
+    """Stops that are promised too far apart are never touched, and no descent brings them nearer."""
+    bench, _, every = bench_with(Element("clearance", joint_23(), STOP))
+    plain = bench.joint([])
+    nominal = engine_start(plain)
+    found, leads = looked(plain, nominal, every)
+    some = [law for law in LAWS if law != "clearance"]
+    best = contest(bench, nominal, found, some, leads, look=partial(looked, plain, spots=every)).near[0]
+    assert (best.mechanism, str(best.spot.place)) == ("clearance", "joint 2-3")
+    assert best.made.law(0)[0] == pytest.approx(STOP, rel=0.05)
+
+
+def test_a_clamp_that_gives_is_a_parameter_of_the_model():
+    """Of the size that, to first order, moves a squared frequency by itself: the exact frequencies fall by a third."""
+    plain = engine(beam(supports={"1": "clamped"}), inputs=(replace(FORCE[0], node="4"),))
+    (wider,) = giving(plain, places_of(plain))
+    more = wider.structure.parameters[len(plain.structure.parameters) :]
+    assert [p.name.split(".")[-1] for p in more] == ["compliance", "compliance_turn"]
+    assert all(0 == p.lower < p.nominal < p.upper and p.spread > p.nominal for p in more)
+    first = [e.state(e.theta0).omega[0] for e in (plain, wider)]
+    assert 0.4 < first[1] / first[0] < 0.8
+    stiff = np.append(plain.theta0, 1e-4 * wider.theta0[-2:])
+    (nearer,) = [nearer_to(plain, wider, stiff)]
+    assert nearer.state(nearer.theta0).omega[:3] == pytest.approx(plain.state(plain.theta0).omega[:3], rel=1e-3)
+    assert wider.state(stiff).omega[0] > 1.03 * first[0]  # the modes of one clamp are a poor basis for another
+
+
+def test_nothing_gives_where_nothing_is_held():
+    free = engine(beam())
+    assert giving(free, places_of(free)) == []
