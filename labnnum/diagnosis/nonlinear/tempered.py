@@ -150,6 +150,10 @@ def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
     return t
 
 
+RELATED = 5.0
+"""Cost, of the least, above which a law is not tried in another form."""
+
+
 def _turned(wide: Bench, x: NDArray, near: Sequence[Tried], clear: float) -> list[Tried]:
     """Laws of the same place and size in the stead of those that come nearest, if the first leaves more than `clear` or
     bends the base: of a slider what yields bit by bit, of a stop on one side stops on both, and the other way round;
@@ -159,7 +163,7 @@ def _turned(wide: Bench, x: NDArray, near: Sequence[Tried], clear: float) -> lis
     if best is None or (best.made.data_part < clear and best.made.prior_part < PAYS * best.made.n_base):
         return []
     leads: dict[tuple[str, bytes], Lead] = {}
-    for t in sorted(near, key=lambda t: t.cost):
+    for t in nearest_of(list(near), len(near), RELATED):
         for lead in _forms(t.lead, t.made.whole(0)):
             leads.setdefault((lead.mechanism, lead.acting().column.tobytes()), lead)
     made = [wide.direct((x,), lead, STEPS, soften=False) for lead in leads.values()]
