@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from itertools import islice, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -257,10 +257,27 @@ def _promising(
     for q in found:
         own = [lead for lead in leads if np.array_equal(np.abs(lead.spot.column), np.abs(q.spot.column))]
         for law in laws:
-            some = [*sizes_of(bench, q, law, high), *(lead for lead in own if lead.mechanism == law)]
-            looked = [(left_by(loud, x, [lead]), lead) for lead in some]
+            sizes, alone = sizes_of(bench, q, law, high), [[lead] for lead in own if lead.mechanism == law]
+            n = len(SIZES[0] if SHAPES[law].inner else SIZES[1])
+            looked = [one for some in (*_by(n, sizes), *alone) for one in _until_worse(loud, x, some)]
             out += sorted((p for p in looked if np.isfinite(p[0])), key=lambda pair: pair[0])[:1]
     return [(lead, x) for _, lead in sorted(out, key=lambda pair: pair[0])]
+
+
+def _by(n: int, leads: Sequence[Lead]) -> list[list[Lead]]:
+    """The leads, `n` at a time."""
+    rest = iter(leads)
+    return [list(islice(rest, n)) for _ in range(0, len(leads), n)]
+
+
+def _until_worse(bench: Bench, x: NDArray, leads: Iterable[Lead]) -> list[tuple[float, Lead]]:
+    """What a law of growing strength leaves, until it leaves more than before."""
+    out: list[tuple[float, Lead]] = []
+    for lead in leads:
+        out.append((left_by(bench, x, [lead]), lead))
+        if len(out) > 1 and out[-1][0] > out[-2][0]:
+            break
+    return out
 
 
 def _once(promised: Iterable[Sequence[tuple[Lead, NDArray]]]) -> list[tuple[Lead, NDArray]]:
