@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,10 +105,10 @@ def diagnose(
     if nonlinear and not initial and moving is None:  # a change within the run stands on quiet lines as well
         from labnnum.diagnosis.nonlinear.first import nonlinear_first
 
-        again = partial(
-            diagnose, structure, places=places, span=span, scatter=scatter, limits=limits, catalogue=catalogue,
-            progress=progress, nonlinear=False,
-        )  # fmt: skip
+        def again(*runs: Sequence[Observation], on: Structure = structure, **kind: Any) -> Diagnosis:
+            same: dict[str, Any] = {"scatter": scatter, "limits": limits, "catalogue": catalogue, "progress": progress, **kind}
+            return diagnose(on, *runs, places=places, span=span, nonlinear=False, **same)
+
         whole = nonlinear_first(
             engine, gate, observations, held_out, where, scatter, limits, span, again, progress, _known(structure),
             _held(structure),

@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.beside import SURE
+from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.places import Places
+from labnnum.diagnosis.verdict import Named
 from labnnum.errors import LabnnumError
 from labnnum.mechanisms.base import Term
 from labnnum.mechanisms.extended import Added, ExtendedStructure
@@ -20,6 +23,9 @@ from labnnum.parameters import Parameter
 
 WIDE = 3.0
 """Standard deviation of a compliance, in units of the one that moves a squared frequency by itself at first order."""
+
+TOLD = 3.0
+"""Standard deviations from nothing at which a clamp gives."""
 
 
 def giving(engine: Engine, places: Places) -> list[Engine]:
@@ -46,6 +52,20 @@ def nearer_to(engine: Engine, wider: Engine, x: NDArray) -> Engine | None:
     n = engine.theta0.size
     values = zip(added.parameters, x[n : n + len(added.parameters)], strict=True)
     return _with(engine, Added(added.term, tuple(_about(p, max(float(v), 0.0)) for p, v in values)))
+
+
+def named_in(found: NonlinearAnswer) -> tuple[Named, ...]:
+    """The clamps of the structure on which a law was found, as its fit has left them, where they give at all."""
+    engine, last = found.study.engine, found.laws[-1].made
+    added = engine.structure.added if isinstance(engine.structure, ExtendedStructure) else ()
+    at, out = engine.theta0.size - sum(len(a.parameters) for a in added), []
+    for a in added:
+        here = slice(at, at + len(a.parameters))
+        value, std = last.x[here], np.sqrt(np.maximum(np.diag(last.covariance)[here], 0.0))
+        if np.any(value > TOLD * std):
+            out.append(Named(a.term.fitted, value, std, SURE))
+        at += len(a.parameters)
+    return tuple(out)
 
 
 def _with(engine: Engine, added: Added) -> Engine | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,7 @@ from labnnum.diagnosis.nonlinear.beside import (
     supposed,
 )
 from labnnum.diagnosis.nonlinear.bounds import hopeless, hopeless_beside
-from labnnum.diagnosis.nonlinear.clamps import giving, nearer_to
+from labnnum.diagnosis.nonlinear.clamps import giving, named_in, nearer_to
 from labnnum.diagnosis.nonlinear.decision import (
     EQUAL,
     FOUND,
@@ -182,6 +183,7 @@ class _Whole:
     of_channels: tuple[Named, ...] = ()
     shares: dict[frozenset, float] = field(default_factory=dict)
     loose: NonlinearAnswer | None = None
+    clamps: tuple[Named, ...] = ()
 
     @property
     def signs(self) -> dict:
@@ -238,6 +240,7 @@ class _Whole:
         elif not sure:
             on_clamps = self._giving() if early else None
             if on_clamps is not None:
+                self._stands_on(on_clamps)
                 return on_clamps
             whole = self.law(self.engine, known=self.known, strong=False if early else None)
             if found is None or (whole is not None and whole.misfit < found.misfit):
@@ -267,6 +270,11 @@ class _Whole:
                 again = self._with((), nearer, given=Given(leads, nominal(nearer, nearer.theta0), NOISY))
             return again if again is not None and again.named and again.misfit < made.misfit else made
         return None
+
+    def _stands_on(self, found: NonlinearAnswer) -> None:
+        """From now on the structure is the one on which that law was found."""
+        self.clamps, self.engine = named_in(found), found.study.engine
+        self.again = partial(self.again, on=self.engine.structure)
 
     def _mend(self, faults: Sequence[Fault]) -> None:
         """Takes faults of channels off all runs."""
@@ -470,6 +478,7 @@ class _Whole:
                 found = second
         told = any(n.place.kind == "channel" for n in rest.named)
         before = clipped or (() if told or not found.named else self.of_channels)
+        before = (*(self.clamps if found.named else ()), *before)
         return merged(found, rest, self.gate.named, self.signs, self.observations, before)
 
     def _restored(self, found: NonlinearAnswer) -> tuple[NonlinearAnswer, tuple[Named, ...]]:
