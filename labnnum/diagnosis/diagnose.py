@@ -106,8 +106,9 @@ def diagnose(
         from labnnum.diagnosis.nonlinear.first import nonlinear_first
 
         def again(*runs: Sequence[Observation], on: Structure = structure, **kind: Any) -> Diagnosis:
-            same: dict[str, Any] = {"scatter": scatter, "limits": limits, "catalogue": catalogue, "progress": progress, **kind}
-            return diagnose(on, *runs, places=places, span=span, nonlinear=False, **same)
+            same = {"scatter": scatter, "limits": limits, "catalogue": catalogue, "progress": progress}
+            more: dict[str, Any] = same | kind
+            return diagnose(on, *runs, places=places, span=span, nonlinear=False, **more)
 
         whole = nonlinear_first(
             engine, gate, observations, held_out, where, scatter, limits, span, again, progress, _known(structure),
