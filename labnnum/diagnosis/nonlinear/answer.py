@@ -25,7 +25,7 @@ from labnnum.diagnosis.nonlinear.decision import (
 )
 from labnnum.diagnosis.nonlinear.detect import repeating, signs
 from labnnum.diagnosis.nonlinear.effort import LAST, counted, spent, tired
-from labnnum.diagnosis.nonlinear.explore import LONG, MISLED, NOISY, Prospect, explore, resumed
+from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.fast import fast_kin
 from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.nonlinear.further import needed
@@ -236,8 +236,7 @@ class _Search:
         """The laws that the motions promise, fitted by simulation."""
         if given is not None and seen.near[0].more:
             return study_of(seen, list(seen.near), self.scatter, self.limits.further)
-        misled = seen.calm.data_part > MISLED * seen.calm.count  # strong laws were sought already
-        if self.far(seen) and not misled and not tired():
+        if self.far(seen) and not (seen.misled or tired()):
             seen = from_afar(seen, self.progress)
         if seen.pairs and (two := self.both(seen, pairs=seen.pairs)) is not None:
             return two

@@ -256,16 +256,23 @@ def _with(engine: Engine, found: Candidate, which: Sequence[int] | None = None) 
             added.append(Added(t.sought, tuple(_about(p, float(v)) for p, v in values)))
         at += t.n
     while added:
-        try:
-            structure = ExtendedStructure(engine.structure, tuple(added))
-            wider = Engine(structure, engine.outputs, engine.inputs, engine.band)
-        except (LabnnumError, np.linalg.LinAlgError):
-            added.pop()
-            continue
-        n = min(wider.zeta0.size, engine.zeta0.size)
-        wider.zeta0[:n] = engine.zeta0[:n]  # what moves in a support has no damping of its own, and modes no less
-        return wider
+        wider = widened(engine, added)
+        if wider is not None:
+            return wider
+        added.pop()
     return engine
+
+
+def widened(engine: Engine, added: Sequence[Added]) -> Engine | None:
+    """The engine of the structure that holds mechanisms besides; None where it cannot be built with them."""
+    try:
+        structure = ExtendedStructure(engine.structure, tuple(added))
+        wider = Engine(structure, engine.outputs, engine.inputs, engine.band)
+    except (LabnnumError, np.linalg.LinAlgError):
+        return None
+    n = min(wider.zeta0.size, engine.zeta0.size)
+    wider.zeta0[:n] = engine.zeta0[:n]  # what moves in a support has no damping of its own, and modes no less
+    return wider
 
 
 def _structural(t: Term) -> bool:

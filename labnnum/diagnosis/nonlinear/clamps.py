@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.beside import SURE
+from labnnum.diagnosis.nonlinear.beside import SURE, widened
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.verdict import Named
-from labnnum.errors import LabnnumError
 from labnnum.mechanisms.base import Term
 from labnnum.mechanisms.extended import Added, ExtendedStructure
 from labnnum.mechanisms.support_compliance import FARTHEST, SupportCompliance
@@ -38,7 +37,7 @@ def giving(engine: Engine, places: Places) -> list[Engine]:
         released = t.place.id in site.held and "fitted" in t.data
         if released and t.n > (widest[t.place.id].n if t.place.id in widest else 0):
             widest[t.place.id] = t
-    made = (_with(engine, Added(t, tuple(_open(p) for p in t.parameters))) for t in widest.values())
+    made = (widened(engine, [Added(t, tuple(_open(p) for p in t.parameters))]) for t in widest.values())
     return [wider for wider in made if wider is not None]
 
 
@@ -51,7 +50,7 @@ def nearer_to(engine: Engine, wider: Engine, x: NDArray) -> Engine | None:
         return None
     n = engine.theta0.size
     values = zip(added.parameters, x[n : n + len(added.parameters)], strict=True)
-    return _with(engine, Added(added.term, tuple(_about(p, max(float(v), 0.0)) for p, v in values)))
+    return widened(engine, [Added(added.term, tuple(_about(p, max(float(v), 0.0)) for p, v in values))])
 
 
 def named_in(found: NonlinearAnswer) -> tuple[Named, ...]:
@@ -66,18 +65,6 @@ def named_in(found: NonlinearAnswer) -> tuple[Named, ...]:
             out.append(Named(a.term.fitted, value, std, SURE))
         at += len(a.parameters)
     return tuple(out)
-
-
-def _with(engine: Engine, added: Added) -> Engine | None:
-    """The engine of the structure that holds a mechanism besides; None where there is none."""
-    try:
-        structure = ExtendedStructure(engine.structure, (added,))
-        wider = Engine(structure, engine.outputs, engine.inputs, engine.band)
-    except (LabnnumError, np.linalg.LinAlgError):
-        return None
-    n = min(wider.zeta0.size, engine.zeta0.size)
-    wider.zeta0[:n] = engine.zeta0[:n]
-    return wider
 
 
 def _open(p: Parameter) -> Parameter:

@@ -60,6 +60,11 @@ class Prospect:
         return self.near[0].made.data_part / self.near[0].made.count
 
     @property
+    def misled(self) -> bool:
+        """Whether the base leaves so much of the quietest level that strong laws were sought from the nominal one."""
+        return self.calm.data_part > MISLED * self.calm.count
+
+    @property
     def hopeless(self) -> bool:
         """Whether no law removes a fifth of what the base leaves, and that is far more than noise."""
         best = self.near[0]

@@ -33,22 +33,21 @@ def moved(
 
     Where a law holds a structure, the force that it makes at one place a slightly larger one makes at the next, and
     the share of the distortion tells little with few sensors. The force that was found says where the like would do as
-    well; the law is fitted there, from its own base and from the vector `x`, and
-    from the best once more.
+    well; the law is fitted there, from its own base and from the vector `x`, and from the best once more.
     """
     best = min(near, key=lambda t: t.cost, default=None)
     if best is None:
         return []
     out: list[Tried] = []
-    seen: set[tuple[Place, str]] = {_where(best)}
+    seen: set[tuple[Place, str]] = {_where(best.spot)}
     for _ in range(ROUNDS):
         if best.made.data_part < noise * best.made.count:
             break
         bases = best.made.x[: best.made.bare], x
         leads = [q for gain, q in answered(wide, best.made.x, best, spots) if gain > ALMOST]
-        fresh = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in seen][:OTHERS]
+        fresh = [q for q in leads if _where(q.spot) not in seen][:OTHERS]
         made = [one for q in fresh if (one := wide.direct(bases, q, BRIEF, soften=False)) is not None]
-        seen |= {(q.spot.place, q.spot.axis.lstrip("-")) for q in fresh}
+        seen |= {_where(q.spot) for q in fresh}
         made = [wide.carry_on(t, STEPS, last=False) if t.cost < FAR * best.cost else t for t in made]
         first = min(made, key=lambda t: t.cost, default=best)
         if first.cost >= best.cost:
@@ -58,5 +57,6 @@ def moved(
     return out
 
 
-def _where(t: Tried) -> tuple[Place, str]:
-    return t.spot.place, t.spot.axis.lstrip("-")
+def _where(spot: Spot) -> tuple[Place, str]:
+    """Place and axis of a spot, whichever side of it a stop is on."""
+    return spot.place, spot.axis.lstrip("-")

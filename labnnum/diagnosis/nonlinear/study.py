@@ -16,7 +16,6 @@ from labnnum.diagnosis.nonlinear.explore import (
     LAWS,
     LINES,
     LONG,
-    MISLED,
     NEAR,
     NOISY,
     Prospect,
@@ -64,8 +63,7 @@ def search(
     if not tried:
         return None
     pairs: tuple[Tried, ...] = ()
-    misled = seen.calm.data_part > MISLED * seen.calm.count  # laws were sought from the nominal base then
-    if not (unsure or misled or tired()) and tried[0].made.data_part > DOUBTFUL * tried[0].made.count:
+    if not (unsure or seen.misled or tired()) and tried[0].made.data_part > DOUBTFUL * tried[0].made.count:
         tried, pairs = contested(seen, tried, progress)
     best = tried[0].made
     law = None

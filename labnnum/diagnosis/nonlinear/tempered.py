@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice, zip_longest
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -259,15 +259,10 @@ def _promising(
         for law in laws:
             sizes, alone = sizes_of(bench, q, law, high), [[lead] for lead in own if lead.mechanism == law]
             n = len(SIZES[0] if SHAPES[law].inner else SIZES[1])
-            looked = [one for some in (*_by(n, sizes), *alone) for one in _until_worse(loud, x, some)]
+            grown = [sizes[i : i + n] for i in range(0, len(sizes), n)]
+            looked = [one for some in (*grown, *alone) for one in _until_worse(loud, x, some)]
             out += sorted((p for p in looked if np.isfinite(p[0])), key=lambda pair: pair[0])[:1]
     return [(lead, x) for _, lead in sorted(out, key=lambda pair: pair[0])]
-
-
-def _by(n: int, leads: Sequence[Lead]) -> list[list[Lead]]:
-    """The leads, `n` at a time."""
-    rest = iter(leads)
-    return [list(islice(rest, n)) for _ in range(0, len(leads), n)]
 
 
 def _until_worse(bench: Bench, x: NDArray, leads: Iterable[Lead]) -> list[tuple[float, Lead]]:
