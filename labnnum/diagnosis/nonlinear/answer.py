@@ -236,7 +236,7 @@ class _Search:
         """The laws that the motions promise, fitted by simulation."""
         if given is not None and seen.near[0].more:
             return study_of(seen, list(seen.near), self.scatter, self.limits.further)
-        if self.far(seen) and not (seen.misled or tired()):
+        if self.far(seen) and not (seen.sought or tired()):
             seen = from_afar(seen, self.progress)
         if seen.pairs and (two := self.both(seen, pairs=seen.pairs)) is not None:
             return two

@@ -104,6 +104,14 @@ class Bench:
     lines: tuple[Lines, ...]
     closing: float = CLOSED
     """Relative gap of a period, or change from march to march, at which a steady state counts as found."""
+    limit: float = np.inf
+    """Objective per value above which where a fit ends is of no use: one that falls too slowly for it is given up."""
+
+    def against(self, best: Tried) -> Bench:
+        """The same for rivals of a law, of which those that leave several times as much need not be followed to their
+        end.
+        """
+        return replace(self, limit=RACE * best.cost / best.made.count)
 
     def on(self, most: int) -> Bench:
         """The same with `most` lines a run."""
@@ -115,7 +123,9 @@ class Bench:
 
     def joint_of(self, terms: Sequence[Acting]) -> Joint:
         """The objective of laws with what their march needs."""
-        return Joint(self.engine, self.point, self.runs, terms, self.scatter, self.lines, closing=self.closing)
+        return Joint(
+            self.engine, self.point, self.runs, terms, self.scatter, self.lines, closing=self.closing, limit=self.limit
+        )  # fmt: skip
 
     def follow(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
         """A law fitted along the recovered motion, from the base vector `x`."""
@@ -205,6 +215,9 @@ class Bench:
         return joint.terms if reduced(r, b)[0] < SHORTER * made.data_part else None
 
 
+RACE = 4.0
+"""Objective of the best law's above which a rival is not followed to its end; more than what any comparison of two laws
+asks of the worse one."""
 WEAKER = (0.25, 0.06)
 """Parts of a law's strength at which it is tried where with the whole of it no steady state is found."""
 NOISY, SHORTER, FINEST = 1.3, 0.8, 128.0

@@ -177,7 +177,7 @@ def _straightened(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
     """A law that leaves little, but for which the base bends, fitted again from the base of the quietest level, or from
     the nominal one where that level is strongly nonlinear itself; none where that is no better.
     """
-    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES)
+    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES).against(one)
     misled = found.quiet.data_part > MISLED * found.quiet.count
     calm = engine_start(bench.joint([])) if misled else found.quiet.x[: one.made.bare]
     again = bench.again(calm, one, of_fit(one), LONG)
@@ -191,7 +191,7 @@ def _unbent(found: Study, one: Tried, every: Sequence[Spot], scatter: Scatter) -
     What is recovered through a base that was bent for the wrong place tells of no other, nor does a motion of it that
     leads there, since next to the right place a law's own bends a little too.
     """
-    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES)
+    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES).against(one)
     bare = found.quiet.x[: one.made.bare]
     out: list[Tried | None] = []
     for q in [q for q in found.recovered if q.spot.place != one.spot.place][:ELSEWHERE]:

@@ -53,6 +53,8 @@ class Prospect:
     leads: tuple[Lead, ...] = ()
     pairs: tuple[Tried, ...] = ()
     """Two laws that come far nearer than the best alone, simulated, best first."""
+    sought: bool = False
+    """Whether strong laws are not to be sought from far away any more."""
 
     @property
     def level(self) -> float:
@@ -125,7 +127,8 @@ def explore(
     for x in rounds:
         found, leads = looked(plain, x, spots, unnamed)
         near: list[Tried] = []
-        if misled and carry_on and x is nominal:
+        shown = misled and carry_on and x is nominal and _shown(bench, base, rounds, leads)
+        if misled and carry_on and x is nominal and not shown:
             far = strong is not False and spent() < ONCE
             look = partial(looked, plain, spots=spots, unnamed=unnamed)
             held = contest(bench, nominal, found, LAWS, leads, progress, look) if far else Contest()
@@ -134,19 +137,20 @@ def explore(
                 near = sorted([*near, *stuck(bench, quiet, found, HELD, LONG)], key=lambda t: t.cost)
         best_of = (*pairs, *near)[:1]
         dry = bool(best_of) and best_of[0].made.data_part < LEAVES * base.data_part
-        if strong and not dry:
+        if strong and not (dry or shown):
             return None
         if dry:
             leads = [lead for lead in leads if lead.spot.place == near[0].spot.place]
             begin = [near[0].made.x[: near[0].made.n_base]]
         else:
-            begin = [x, nominal] if strained else [x]
+            begin = [x, nominal] if strained else rounds if shown else [x]
         if leads:
             progress("following nonlinear laws along the motion")
             near = sorted([*near, *followed(bench, begin, leads, carry_on)], key=lambda t: t.cost)
         if near and (best is None or near[0].cost < best.near[0].cost):
-            best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads), pairs)
-        if dry or (near and near[0].made.data_part < MISLED * near[0].made.count):
+            sought = misled and not shown
+            best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads), pairs, sought)
+        if dry or shown or (near and near[0].made.data_part < MISLED * near[0].made.count):
             break
     if best is not None and carry_on and not misled and best.level > MISLED:
         # a slider that sticks at the quietest level is a spring, which a base with free stiffness takes for its own
@@ -173,7 +177,19 @@ def resumed(
     found, _ = looked(plain, calm.x, spots)
     made = [relaxed(bench, begin, leads) for leads in given]
     near = sorted((t for t in made if t is not None), key=lambda t: t.cost)
-    return Prospect(bench, calm, base, tuple(found), tuple(near[:1])) if near else None
+    misled = calm.data_part > MISLED * calm.count
+    return Prospect(bench, calm, base, tuple(found), tuple(near[:1]), sought=misled) if near else None
+
+
+def _shown(bench: Bench, base: Made, starts: Sequence[NDArray], leads: Sequence[Lead]) -> bool:
+    """Whether a law explains nearly all along the motion, and no base is bent for it: it is simulated then, and strong
+    laws are sought from afar only where that leaves too much.
+    """
+    near = followed(bench, starts, leads, carry_on=False) if leads else []
+    made = near[0].made if near else None
+    if made is None or made.prior_part > STRAINED * made.n_base:
+        return False
+    return made.data_part * base.count < PLAIN * base.data_part * made.count
 
 
 def calmed(engine: Engine, point: Point, run: Run, scatter: Scatter, lines: int = LINES) -> Made:
@@ -188,6 +204,8 @@ MISLED = 5.0
 """Chi-square per value of the base at the quietest level above which it may be a strong law that it was fitted to."""
 
 
+PLAIN = 0.01
+"""Part of what the base leaves up to which a law leaves nearly nothing along the motion."""
 HELD, LEAVES = 2, 0.1
 """Places at which sliders that stick at the quietest level are looked for; and the part of what the base leaves that a
 strong law may leave for nothing else to be looked for elsewhere."""

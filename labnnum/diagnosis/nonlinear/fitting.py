@@ -58,7 +58,8 @@ def fit(
     """Levenberg-Marquardt from `x`; ends when a step gains less than `tolerance` of the objective and `floor`.
 
     `exact` slopes are marched where the base model's vector is short (`EXACT`), or `always`: standard deviations need
-    them. Such a fit does not end either where a step gains little because it was a short one.
+    them. Such a fit does not end either where a step gains little because it was a short one. One that falls too slowly
+    to come below the objective's `limit` in the steps that are left ends at once.
     """
     joint.exact = always or (exact and joint.n_base <= EXACT)
     scale = joint.scale
@@ -98,6 +99,8 @@ def fit(
             left = max(left, 1)
             continue
         gain = value - after + less
+        if steps - left > 1 and _hopeless(value, after, left, joint.limit * joint.values):
+            break
         if gain < max(tolerance * value, floor):
             stalled += 1
             if not always or damping < SHORT or stalled > STALLS:
@@ -140,6 +143,15 @@ def calmed(joint: Joint, x: NDArray, orbits: Sequence[Orbit | None]) -> Sequence
     while joint.restless(orbits) and joint.refine():
         orbits = joint.settle(x, [None] * len(orbits), 14)
     return orbits
+
+
+SWIFTER = 2.0
+"""How many of its last steps each step that is left may be worth, for a fit to be given up."""
+
+
+def _hopeless(before: float, after: float, left: int, limit: float) -> bool:
+    """Whether an objective that fell like this in a step stays above the limit in the steps that are left."""
+    return after > limit and after * (after / before) ** (SWIFTER * left) > limit
 
 
 EVEN = 0.3

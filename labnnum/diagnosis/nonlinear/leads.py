@@ -87,10 +87,25 @@ class _General:
 
 UNNAMED = (0, 3, 5, 6, 7, 8, 9)
 """Terms of the general law that are no law of the catalogue."""
+ALIKE = 0.9
+"""Correlation of a law's force with that of one without a name, along its own motion, from which that one is tried."""
 OWN = {1: "quadratic-stiffness", 2: "cubic-stiffness", 4: "quadratic-damping"}
 """Those that are, and which."""
 FOREMOST = 2
 """Of them, those of each spot that compete with the named laws."""
+
+
+def unnamed_like(lead: Lead, force: NDArray, motion: NDArray) -> list[Lead]:
+    """Laws of one term without a name that make nearly the same opposing force (n,) along a motion (n, 2) as a law."""
+    out: list[Lead] = []
+    terms = general_basis(*motion.T)
+    for i in UNNAMED:
+        along, size = float(force @ terms[i]), float(terms[i] @ terms[i])
+        if along**2 > ALIKE**2 * size * float(force @ force) > 0:
+            p = np.zeros(N_P)
+            p[i] = along / size
+            out.append(Lead(lead.spot, "general", p, 0.0))
+    return out
 
 
 def ranked(background: Background, found: Sequence[Recovered]) -> list[Recovered]:

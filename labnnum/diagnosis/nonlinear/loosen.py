@@ -26,6 +26,8 @@ HOLDS = 1.0
 """Ties from which on the motion at the place is what it is tied to: how far it moves in a mode is then not fitted."""
 STEPS = 8
 """Steps of each of these fits."""
+SINKS = 0.5
+"""Part of what was left with the tie before to which a looser one must bring a law that is far behind its rivals."""
 LITTLE = 1.5
 """Chi-square per value up to which a free march is not led astray, whatever the law leaves along the motion."""
 
@@ -69,8 +71,8 @@ def _astray(bench: Bench, followed: Tried, free: Tried | None) -> bool:
 
 
 def loosened(bench: Bench, one: Tried) -> list[Tried]:
-    """A law that was followed, `one`, fitted by simulation with ties that are loosened, up to where a march fails, or
-    the search has taken long.
+    """A law that was followed, `one`, fitted by simulation with ties that are loosened, up to where a march fails, it
+    stays far behind its rivals (`Bench.limit`), or the search has taken long.
     """
     joint = bench.joint_of([replace(lead.acting(), last=True) for lead in of_fits(one)])
     x: NDArray = one.made.x
@@ -86,7 +88,10 @@ def loosened(bench: Bench, one: Tried) -> list[Tried]:
         if made is None:
             break
         x, orbits = made.made.x, list(made.made.orbits)
+        lost = made.cost > bench.limit * made.made.count and bool(done) and made.cost > SINKS * done[-1].cost
         done.append(made)
+        if lost:
+            break
     return done
 
 

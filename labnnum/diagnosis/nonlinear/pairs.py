@@ -90,7 +90,7 @@ def paired(
     fitted without the laws, or beside one of them, shows neither rightly. A search that has marched for long (`TWO`)
     ends with what it has.
     """
-    bench = seen.bench
+    bench = seen.bench.against(seen.near[0])
     progress("fitting two nonlinear laws")
     plain = bench.joint([])
     own = seen.near[0].made

@@ -88,13 +88,14 @@ class Joint:
     """The objective: runs, laws and the scatter of a sound model; `whole` where responses are wanted on all lines.
 
     `closing`: relative gap of a period, or change from march to march, at which a steady state counts as found.
+    `limit`: objective per value above which where a fit ends is of no use.
     """
 
     def __init__(
         self, engine: Engine, point: Point, runs: Sequence[Run], terms: Sequence[Acting], scatter: Scatter,
-        lines: Sequence[Lines], whole: bool = False, closing: float = CLOSED,
+        lines: Sequence[Lines], whole: bool = False, closing: float = CLOSED, limit: float = np.inf,
     ) -> None:  # fmt: skip
-        self.point, self.closing = point, closing
+        self.point, self.closing, self.limit = point, closing, limit
         self.engine, self.runs, self.terms, self.scatter, self.lines = engine, tuple(runs), tuple(terms), scatter, lines
         n = engine.basis.shape[0]
         columns = np.array([t.column for t in terms]).T.reshape(n, len(terms))
@@ -230,6 +231,11 @@ class Joint:
         return out
 
     # ---------------------------------------------------------------- pieces
+
+    @property
+    def values(self) -> int:
+        """Number of values that are compared."""
+        return sum(2 * lines.sigma.size for lines in self.lines)
 
     def laws(self, x: NDArray) -> NDArray[np.float64]:
         """Parameters (k, N_P) of the laws in the vector."""

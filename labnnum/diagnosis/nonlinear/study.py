@@ -16,6 +16,7 @@ from labnnum.diagnosis.nonlinear.explore import (
     LAWS,
     LINES,
     LONG,
+    MISLED,
     NEAR,
     NOISY,
     Prospect,
@@ -25,8 +26,8 @@ from labnnum.diagnosis.nonlinear.explore import (
 )
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.force import N_P
-from labnnum.diagnosis.nonlinear.laws import SHAPES, general_basis
-from labnnum.diagnosis.nonlinear.leads import UNNAMED, general_lead
+from labnnum.diagnosis.nonlinear.laws import SHAPES
+from labnnum.diagnosis.nonlinear.leads import general_lead, unnamed_like
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.loosen import in_step, in_step_already, tied
 from labnnum.diagnosis.nonlinear.numbered import numbered
@@ -63,7 +64,7 @@ def search(
     if not tried:
         return None
     pairs: tuple[Tried, ...] = ()
-    if not (unsure or seen.misled or tired()) and tried[0].made.data_part > DOUBTFUL * tried[0].made.count:
+    if not (unsure or seen.sought or tired()) and tried[0].made.data_part > DOUBTFUL * tried[0].made.count:
         tried, pairs = contested(seen, tried, progress)
     best = tried[0].made
     law = None
@@ -97,7 +98,8 @@ def from_afar(seen: Prospect, progress: Callable[[str], None]) -> Prospect:
 
 
 def _from_afar(seen: Prospect, progress: Callable[[str], None]) -> tuple[list[Tried], tuple[Tried, ...]]:
-    bench, x = seen.bench, seen.calm.x
+    bench = seen.bench
+    x = engine_start(bench.joint([])) if seen.misled else seen.calm.x
     look = partial(looked, bench.joint([]), spots=[q.spot for q in seen.recovered])
     found, leads = look(x)
     held = contest(bench, x, found, LAWS, leads, progress, look)
@@ -146,11 +148,13 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
         if alike >= most[0 if t.named else 1] or (enough and t.cost > level and t.cost > best):
             out.append(t)
             continue
-        one = t if t.simulated else in_step(bench, t, LONG)
+        first = min(out, key=lambda o: o.cost if o.simulated else np.inf, default=None)
+        racing = bench if first is None or not first.simulated else bench.against(first)
+        one = t if t.simulated else in_step(racing, t, LONG)
         if one is None:
             continue
         if calm is not None and not t.simulated and _bent(bench, one):
-            other = bench.direct((calm,), of_fit(t), LONG, soften=False)
+            other = racing.direct((calm,), of_fit(t), LONG, soften=False)
             one = one if other is None or other.cost > one.cost else other
         if calm is not None and _coarse(one) and again < FINELY and (t.simulated or t.cost < AGREES * one.cost):
             again += 1
@@ -207,12 +211,15 @@ def finely(bench: Bench, t: Tried, one: Tried) -> Tried:
 
 def with_rounded(bench: Bench, tried: list[Tried]) -> list[Tried]:
     """The simulated laws, best first, with many sliders and hysteresis where one of their kind is the best and leaves
-    too much.
+    more than noise: asked before anything is sought elsewhere, they may leave nothing for it.
     """
     best = tried[0] if tried else None
-    if best is None or best.mechanism not in SLIDING or not _coarse(best):
+    if best is None or best.mechanism not in SLIDING or not best.simulated:
+        return tried
+    if best.made.data_part < ENOUGH * best.made.count:
         return tried
     have = {o.mechanism for o in tried if o.spot.place == best.spot.place and o.simulated}
+    bench = bench.against(best)
     made: list[Tried | None] = []
     if best.name == "stick-slip" and "hysteresis" not in have:
         made.append(rounded(bench, best, LONG))
@@ -246,7 +253,8 @@ THOROUGH = 25
 def anew(study: Study, tried: Sequence[Tried], scatter: Scatter) -> Tried:
     """The best law; where it leaves more than noise, fitted again from the base of the quietest level."""
     best = tried[0]
-    if not (best.simulated and best.named and best.made.data_part < NOISY * best.made.count):
+    misled = study.quiet.data_part > MISLED * study.quiet.count  # then that base is another structure's
+    if misled or not (best.simulated and best.named and best.made.data_part < NOISY * best.made.count):
         return best
     return from_calm(Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE), study.quiet.x, best)
 
@@ -268,7 +276,7 @@ def from_calm(bench: Bench, calm: NDArray, one: Tried) -> Tried:
     own = of_fit(one)
     held = bench.law_alone(calm, own, LONG)
     leads = [own, *(replace(own, p=_stronger(own, by)) for by in STRONGER), *([] if held is None else [of_fit(held)])]
-    begun = [bench.again(calm, one, lead, BEGINNING) for lead in leads]
+    begun = [bench.against(one).again(calm, one, lead, BEGINNING) for lead in leads]
     near = min((t for t in begun if t is not None), key=lambda t: t.cost, default=None)
     if near is None or near.cost > NEAR * one.cost:
         return one
@@ -298,6 +306,7 @@ def _general(bench: Bench, best: Tried, leads: Sequence[Lead]) -> Tried | None:
     """The general law where it promises most and at the best candidate's spot, followed, and the better simulated."""
     leads = sorted((lead for lead in leads if lead.gain > 0), key=lambda lead: -lead.gain)
     own = next((g for g in leads if g.spot.place == best.spot.place), None)
+    bench = bench.against(best)
     some = leads[:2] if own is None or own in leads[:2] else [*leads[:2], own]
     made = [bench.follow(best.made.x[: best.made.n_base], g, LONG) for g in some]
     near = sorted((t for t in made if t is not None), key=lambda t: t.cost)
@@ -313,7 +322,7 @@ def at_places(
     Where the winner leaves more than noise, so does the motion that is recovered through its base: what does not come
     near along it is then simulated as the winner stands.
     """
-    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines)
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(lines).against(best)
     x = best.made.x[: best.made.n_base]
     unsure = best.simulated and best.named and best.made.data_part > UNSURE * best.made.count
     out: list[Tried] = []
@@ -418,7 +427,7 @@ def yielding_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
     if not soft:
         return [best]
     far = {o.mechanism for o in study.tried if o.simulated and o.spot.place == best.spot.place and _behind(o, best)}
-    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE).against(best)
     made = [
         rounded(bench, best, BEGINNING) if best.mechanism != "hysteresis" and "hysteresis" not in far else None,
         spread(bench, best, BEGINNING) if best.mechanism != "sliders" and "sliders" not in far else None,
@@ -481,10 +490,6 @@ def finely_carried(bench: Bench, t: Tried, steps: float) -> Tried:
     return tried_fit(joint, t.made.x, t.made.orbits, t.lead, LONG, more=t.more) or t
 
 
-ALIKE = 0.9
-"""Correlation of a law's force with that of one without a name, along its own motion, from which that one is tried."""
-
-
 def nameless_kin(study: Study, best: Tried, scatter: Scatter) -> Tried | None:
     """A law without a name that is like the best one, simulated in its place.
 
@@ -493,20 +498,13 @@ def nameless_kin(study: Study, best: Tried, scatter: Scatter) -> Tried | None:
     """
     if not (best.simulated and best.named) or best.more or not all(best.made.orbits):
         return None
-    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE)
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE).against(best)
     loud = best.made.orbits[int(np.argmax([r.level for r in study.runs]))]
     assert loud is not None
-    force = -loud.time[:, 0]
-    terms = general_basis(*loud.motion[:, 0].T)
     made: list[Tried] = []
-    for i in UNNAMED:
-        along = float(force @ terms[i])
-        size = float(terms[i] @ terms[i])
-        if along**2 > ALIKE**2 * size * float(force @ force) > 0:
-            p = np.zeros(N_P)
-            p[i] = along / size
-            one = bench.direct((best.made.x[: best.made.n_base],), Lead(best.spot, "general", p, 0.0), BEGINNING)
-            if one is not None and not _behind(one, best):
-                one = bench.carry_on(one, LONG, last=False)
-            made += [one] if one is not None else []
+    for lead in unnamed_like(best.lead, -loud.time[:, 0], loud.motion[:, 0]):
+        one = bench.direct((best.made.x[: best.made.n_base],), lead, BEGINNING)
+        if one is not None and not _behind(one, best):
+            one = bench.carry_on(one, LONG, last=False)
+        made += [one] if one is not None else []
     return min(made, key=lambda t: t.cost, default=None)

@@ -21,6 +21,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Tried
 from labnnum.diagnosis.nonlinear.duet import duets
 from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
+from labnnum.diagnosis.nonlinear.leads import unnamed_like
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.nearby import heard, moved
 from labnnum.diagnosis.nonlinear.numbered import numbered
@@ -116,16 +117,22 @@ def contest(
     noise = heard(bench, wide)
     near = nearest_of([*near, *_turned(wide, x, near, min(CLEAR * alone.data_part, noise * alone.count))], CARRIED)
     near = nearest_of([*near, *moved(wide, x, near, [q.spot for q in found], noise)], CARRIED)
+    near = sorted([*near, *_without_name(wide, near, noise)], key=lambda t: t.cost)
     if not near or near[0].cost > HELPS * alone.objective:
         return Contest()
-    pairs = duets(bench, near, [q.spot for q in found], laws, ladder)
+    told = not near[0].named and _sound(near[0], noise)
+    firsts = [] if told else [t for t in near if t.named]
+    pairs = duets(bench, firsts, [q.spot for q in found], laws, ladder)
     if near[0].cost > HOPEFUL * alone.objective and not pairs:
         return Contest()
     near = near[:1] if pairs else near
     jumps = near[0].mechanism == "coulomb-friction"  # with coarse steps the next tolerance would bend its base
     for slack in (*ladder[2 if jumps else 1 :], 0.0):
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
-        carried = [on.carry_on(t, steps, last=sharp(t) and slack < ROUGH) for t in near]
+        carried: list[Tried] = []
+        for t in near:
+            racing = on.against(min(carried, key=lambda one: one.cost)) if carried else on
+            carried.append(racing.carry_on(t, steps, last=sharp(t) and slack < ROUGH))
         near = nearest_of(carried, CARRIED if slack else ENDED)
     return Contest(tuple(near), tuple(t for t in pairs if t.cost < BETTER * near[0].cost))
 
@@ -148,6 +155,28 @@ def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
             fewer = numbered(on, replace(t, made=replace(t.made, x=before.made.x)), STEPS)  # before the base bends
             t = t if fewer is None else fewer
     return t
+
+
+def _without_name(wide: Bench, near: Sequence[Tried], noise: float) -> list[Tried]:
+    """The nearest law without a name that makes nearly the same force as the nearest one, if that leaves more than
+    `noise` a value or bends the base, and this one costs less.
+    """
+    best = min(near, key=lambda t: t.cost, default=None)
+    if best is None or _sound(best, noise):
+        return []
+    loud = best.made.orbits[int(np.argmax([r.level for r in wide.runs]))]
+    if loud is None:
+        return []
+    racing, base = wide.against(best), best.made.x[: best.made.n_base]
+    leads = unnamed_like(best.lead, -loud.time[:, 0], loud.motion[:, 0])
+    made = [one for q in leads if (one := racing.direct((base,), q, STEPS, soften=False)) is not None]
+    made = [racing.carry_on(t, SETTLED, last=False) for t in nearest_of(made, 1)]
+    return [t for t in made if t.cost < best.cost]
+
+
+def _sound(one: Tried, noise: float) -> bool:
+    """Whether a law leaves less than `noise` a value and bends no base."""
+    return one.made.data_part < noise * one.made.count and one.made.prior_part < PAYS * one.made.n_base
 
 
 RELATED = 5.0
@@ -213,7 +242,8 @@ def _begun(wide: Bench, leads: Sequence[tuple[Lead, NDArray]], most: int, clear:
             break
         if place is not None and lead.spot.place != place:
             continue
-        one = wide.direct((x,), lead, BRIEF, soften=False)
+        racing = wide.against(min(out, key=lambda t: t.cost)) if out else wide
+        one = racing.direct((x,), lead, BRIEF, soften=False)
         if one is None:
             continue
         if one.cost < FAR * min((t.cost for t in out), default=np.inf):

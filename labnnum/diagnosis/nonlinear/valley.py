@@ -69,6 +69,9 @@ def _stepped(bench: Bench, one: Tried) -> Tried | None:
         made = tried_fit(joint, x, one.made.orbits, one.lead, STEPS, always=True, more=one.more)
         if made is None or made.made.prior_part > DEARER * one.made.prior_part + PROMISE:
             continue
-        if value - made.made.objective > KEPT * least:
+        gain = value - made.made.objective
+        if gain > KEPT * least:
             return made
+        if abs(gain) < KEPT * least:  # it has come back to the bottom, as one from nearer would
+            return None
     return None

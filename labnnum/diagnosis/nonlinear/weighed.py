@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.beside import strained
-from labnnum.diagnosis.nonlinear.decision import BOUGHT, EQUAL, FOUND, MISFIT, NOTHING, USELESS, NonlinearAnswer
+from labnnum.diagnosis.nonlinear.decision import BENT, BOUGHT, EQUAL, FOUND, MISFIT, NOTHING, USELESS, NonlinearAnswer
 from labnnum.diagnosis.nonlinear.explore import STRAINED
 from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.extended import ExtendedStructure
@@ -42,11 +42,14 @@ def instead(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
 
 
 def clear(found: NonlinearAnswer) -> bool:
-    """Whether a strong law was found, which the quietest level can tell nothing about: one that is named, or that still
-    needs something linear beside it to be.
+    """Whether a strong law was found, which the quietest level can tell nothing about: one that is named, that still
+    needs something linear beside it to be, or that leaves little and has no name.
     """
     base = found.study.base.data_part / found.study.base.count
     sure = bool(found.named) or (found.reason in (NOTHING, BOUGHT) and strained(found))
+    last = found.laws[-1].made
+    if found.reason in FOUND and found.misfit < MISFIT and last.prior_part < BENT * last.n_base:
+        return found.lying is None
     return sure and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
 
 
