@@ -200,6 +200,24 @@ def resampled(run: Run) -> Run:
     )  # fmt: skip
 
 
+def shortened(run: Run, part: float) -> Run:
+    """The middle `part` of a stretch of noise as a run of its own."""
+    from scipy.fft import next_fast_len
+
+    n = 2 * int(next_fast_len(max(int(part * run.period) // 2, 32), real=True) or 0)
+    if not run.open or n >= run.period:
+        return run
+    first = (run.period - n) // 2
+    x = np.fft.irfft(np.vstack([run.u, run.y]), run.period, axis=1)[:, first : first + n] * (run.period / 2)
+    x = x - np.average(x, axis=1, weights=np.hanning(n + 1)[:-1])[:, None]
+    spectra = np.fft.rfft(x, axis=1) * (2 / n)
+    at = np.minimum(np.round(np.arange(n // 2 + 1) * run.period / n).astype(int), run.u.size - 1)
+    return replace(
+        run, period=n, u=spectra[0], y=spectra[1:], noise=run.noise[:, at] * (run.period / n), excited=run.excited[at],
+        use=None if run.use is None else run.use[at], telling=None if run.telling is None else run.telling[at],
+    )  # fmt: skip
+
+
 def _beyond(y: NDArray, on: NDArray) -> NDArray[np.float64]:
     """Noise of a single period, taken as flat from the lines above the band; NaN where there are fewer than 20."""
     top = int(1.08 * np.flatnonzero(on)[-1])

@@ -22,10 +22,12 @@ from labnnum.diagnosis.nonlinear.duet import duets
 from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
 from labnnum.diagnosis.nonlinear.leads import unnamed_like
+from labnnum.diagnosis.nonlinear.lines import LINES, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.nearby import heard, moved
 from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import reduced
+from labnnum.diagnosis.nonlinear.run import shortened
 from labnnum.diagnosis.nonlinear.slack import (
     BEGUN,
     BOTH,
@@ -51,6 +53,8 @@ from labnnum.mechanisms.base import Place
 SIZES = (0.1, 0.4, 1.6), (0.07, 0.2, 0.5, 1.2, 3.0)
 """Strengths that are looked at, of laws with a gap or slip and of others: the force along the motion that the nominal
 model recovers, of the one recovered."""
+GLIMPSE = 0.25
+"""Part of a stretch of noise on which strengths are looked at."""
 CORNERS = FRACTIONS[[0, 2, 4]]
 """Gaps and slip motions that are looked at, of the largest motion."""
 SPOTS, ALIKE = 3, 0.9
@@ -281,7 +285,9 @@ def _promising(
     that leave least first.
     """
     high = int(np.argmax([r.level for r in bench.runs]))
-    loud = slackened(replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],)), slack)
+    run = shortened(bench.runs[high], GLIMPSE)
+    lines = bench.lines[high] if run is bench.runs[high] else choose_lines(run, LINES, bench.scatter.floor)
+    loud = slackened(replace(bench, runs=(run,), lines=(lines,)), slack)
     loud = replace(loud, closing=slack / ROUGHLY)
     out: list[tuple[float, Lead]] = []
     for q in found:
