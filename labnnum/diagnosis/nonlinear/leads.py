@@ -95,17 +95,19 @@ FOREMOST = 2
 """Of them, those of each spot that compete with the named laws."""
 
 
-def unnamed_like(lead: Lead, force: NDArray, motion: NDArray) -> list[Lead]:
-    """Laws of one term without a name that make nearly the same opposing force (n,) along a motion (n, 2) as a law."""
-    out: list[Lead] = []
+def unnamed_like(lead: Lead, force: NDArray, motion: NDArray, alike: float = ALIKE) -> list[Lead]:
+    """Laws of one term without a name whose opposing force along a motion (n, 2) has a correlation of `alike` or more
+    with that of a law (n,); the most alike first.
+    """
+    out: list[tuple[float, Lead]] = []
     terms = general_basis(*motion.T)
     for i in UNNAMED:
         along, size = float(force @ terms[i]), float(terms[i] @ terms[i])
-        if along**2 > ALIKE**2 * size * float(force @ force) > 0:
+        if along**2 > alike**2 * size * float(force @ force) > 0:
             p = np.zeros(N_P)
             p[i] = along / size
-            out.append(Lead(lead.spot, "general", p, 0.0))
-    return out
+            out.append((-(along**2) / size, Lead(lead.spot, "general", p, 0.0)))
+    return [q for _, q in sorted(out, key=lambda row: row[0])]
 
 
 def ranked(background: Background, found: Sequence[Recovered]) -> list[Recovered]:

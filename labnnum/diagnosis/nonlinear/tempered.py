@@ -17,7 +17,7 @@ from itertools import zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.bench import Bench, Tried
+from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fit
 from labnnum.diagnosis.nonlinear.duet import duets
 from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
@@ -53,8 +53,8 @@ from labnnum.mechanisms.base import Place
 SIZES = (0.1, 0.4, 1.6), (0.07, 0.2, 0.5, 1.2, 3.0)
 """Strengths that are looked at, of laws with a gap or slip and of others: the force along the motion that the nominal
 model recovers, of the one recovered."""
-GLIMPSE = 0.25
-"""Part of a stretch of noise on which strengths are looked at."""
+GLIMPSE, LEAST = 0.25, 4096
+"""Part of a stretch of noise on which laws are fitted with the widest tolerance, and samples of it at least."""
 CORNERS = FRACTIONS[[0, 2, 4]]
 """Gaps and slip motions that are looked at, of the largest motion."""
 SPOTS, ALIKE = 3, 0.9
@@ -107,27 +107,24 @@ def contest(
     if alone is None:
         return Contest()
     progress("simulating strong laws")
-    wide = slackened(bench, ladder[0])
     shown = [(x, _foremost(found), leads)]
     if look is not None:  # that base may be bent already, so that its spots are looked at from the nominal one too
         seen, more = look(alone.x)
         ahead, have = _foremost(seen), [q.spot.column for q in shown[0][1]]
         other = [q for q in ahead if not any(np.array_equal(q.spot.column, c) for c in have)]
         shown += [(alone.x, ahead, more), (x, other, ())]
-    promised = _once(_promising(bench, *one, laws, ladder[0]) for one in shown)
-    begun = _begun(wide, promised, BEGUN if look is None else BOTH, CLEAR * alone.data_part)
-    begun += _kin(wide, promised, begun, CLEAR * alone.data_part)
-    near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
-    noise = heard(bench, wide)
-    near = nearest_of([*near, *_turned(wide, x, near, min(CLEAR * alone.data_part, noise * alone.count))], CARRIED)
-    near = nearest_of([*near, *moved(wide, x, near, [q.spot for q in found], noise)], CARRIED)
-    near = sorted([*near, *_without_name(wide, near, noise)], key=lambda t: t.cost)
-    if not near or near[0].cost > HELPS * alone.objective:
+    glimpse = _glimpse(bench)
+    near, alone = _widest(glimpse, x, alone, shown, [q.spot for q in found], laws, ladder[0])
+    wide = slackened(bench, ladder[0])
+    if glimpse is not bench:
+        whole = [wide.direct((t.made.x[: t.made.n_base],), of_fit(t), STEPS, soften=False) for t in near]
+        near = nearest_of([t for t in whole if t is not None], CARRIED + 1)
+    if not near or near[0].cost * alone.count > HELPS * alone.objective * near[0].made.count:
         return Contest()
-    told = not near[0].named and _sound(near[0], noise)
+    told = not near[0].named and _sound(near[0], heard(bench, wide))
     firsts = [] if told else [t for t in near if t.named]
     pairs = duets(bench, firsts, [q.spot for q in found], laws, ladder)
-    if near[0].cost > HOPEFUL * alone.objective and not pairs:
+    if near[0].cost * alone.count > HOPEFUL * alone.objective * near[0].made.count and not pairs:
         return Contest()
     near = near[:1] if pairs else near
     jumps = near[0].mechanism == "coulomb-friction"  # with coarse steps the next tolerance would bend its base
@@ -139,6 +136,36 @@ def contest(
             carried.append(racing.carry_on(t, steps, last=sharp(t) and slack < ROUGH))
         near = nearest_of(carried, CARRIED if slack else ENDED)
     return Contest(tuple(near), tuple(t for t in pairs if t.cost < BETTER * near[0].cost))
+
+
+Shown = tuple[NDArray, Sequence[Recovered], Sequence[Lead]]
+"""A base vector, the spots that it shows, and what laws promise there."""
+
+
+def _widest(
+    bench: Bench, x: NDArray, base: Made, shown: Sequence[Shown], spots: Sequence[Spot], laws: Sequence[str],
+    slack: float,
+) -> tuple[list[Tried], Made]:  # fmt: skip
+    """Laws fitted with the widest tolerance, best first, and what the base alone leaves, begun from `base`."""
+    wide = slackened(bench, slack)
+    joint = wide.joint([])
+    alone = fit(joint, joint.start(base.x), [None] * len(wide.runs), steps=STEPS)
+    clear, noise = CLEAR * alone.data_part, heard(bench, wide)
+    promised = _once(_promising(bench, *one, laws, slack) for one in shown)
+    begun = _begun(wide, promised, BEGUN if len(shown) == 1 else BOTH, clear)
+    begun += _kin(wide, promised, begun, clear)
+    near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
+    near = nearest_of([*near, *_turned(wide, x, near, min(clear, noise * alone.count))], CARRIED)
+    near = nearest_of([*near, *moved(wide, x, near, spots, noise)], CARRIED)
+    return sorted([*near, *_without_name(wide, near, noise)], key=lambda t: t.cost), alone
+
+
+def _glimpse(bench: Bench) -> Bench:
+    """The bench over parts of its stretches of noise: with the widest tolerance these tell as much."""
+    runs = tuple(shortened(r, max(GLIMPSE, LEAST / r.period)) for r in bench.runs)
+    if all(a is b for a, b in zip(runs, bench.runs, strict=True)):
+        return bench
+    return replace(bench, runs=runs, lines=tuple(choose_lines(r, LINES, bench.scatter.floor) for r in runs))
 
 
 BETTER = 0.4
@@ -172,10 +199,14 @@ def _without_name(wide: Bench, near: Sequence[Tried], noise: float) -> list[Trie
     if loud is None:
         return []
     racing, base = wide.against(best), best.made.x[: best.made.n_base]
-    leads = unnamed_like(best.lead, -loud.time[:, 0], loud.motion[:, 0])
+    leads = unnamed_like(best.lead, -loud.time[:, 0], loud.motion[:, 0], SIMILAR)[:NAMELESS]
     made = [one for q in leads if (one := racing.direct((base,), q, STEPS, soften=False)) is not None]
     made = [racing.carry_on(t, SETTLED, last=False) for t in nearest_of(made, 1)]
     return [t for t in made if t.cost < best.cost]
+
+
+SIMILAR, NAMELESS = 0.4, 4
+"""Correlation with the force of the nearest law from which one without a name is tried instead, and how many are."""
 
 
 def _sound(one: Tried, noise: float) -> bool:
@@ -285,9 +316,7 @@ def _promising(
     that leave least first.
     """
     high = int(np.argmax([r.level for r in bench.runs]))
-    run = shortened(bench.runs[high], GLIMPSE)
-    lines = bench.lines[high] if run is bench.runs[high] else choose_lines(run, LINES, bench.scatter.floor)
-    loud = slackened(replace(bench, runs=(run,), lines=(lines,)), slack)
+    loud = slackened(replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],)), slack)
     loud = replace(loud, closing=slack / ROUGHLY)
     out: list[tuple[float, Lead]] = []
     for q in found:
