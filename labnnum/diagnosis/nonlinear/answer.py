@@ -45,6 +45,7 @@ from labnnum.diagnosis.nonlinear.study import (
     corners,
     fine_enough,
     from_afar,
+    named_kin,
     nameless_kin,
     of_known,
     refined,
@@ -258,6 +259,7 @@ class _Search:
             best = self._deepened(found, fine_enough(found, anew(found, tried, self.scatter), self.scatter))
             tried = [*yielding_kin(found, best, self.scatter), *tried[1:]]
             tried = [*fast_kin(found, tried[0], self.scatter), *tried[1:]]
+            tried = [*named_kin(found, tried[0], self.scatter), *tried[1:]]
             tried = [*_ahead(nameless_kin(found, tried[0], self.scatter), tried[0], self.limits), *tried]
         found = replace(found, tried=tuple(tried), base=base_again(found, self.scatter))
         alone = not self.identified and (_poor(tried[0]) or _bought(tried[0]))

@@ -110,6 +110,39 @@ def unnamed_like(lead: Lead, force: NDArray, motion: NDArray, alike: float = ALI
     return [q for _, q in sorted(out, key=lambda row: row[0])]
 
 
+def named_like(
+    lead: Lead, force: NDArray, motion: NDArray, mechanisms: Sequence[str], alike: float = ALIKE
+) -> list[Lead]:  # fmt: skip
+    """The other named laws whose opposing force along a motion (n, 2) has a correlation of `alike` or more with a law's
+    (n,), with the gap, the slip and the strength that make it so; the most alike first.
+    """
+    out: list[tuple[float, Lead]] = []
+    (z, v), whole = motion.T, float(force @ force)
+    for mechanism in (m for m in mechanisms if m != lead.mechanism and whole > 0):
+        shape = SHAPES[mechanism]
+        best: tuple[float, Lead] | None = None
+        for side in (1.0, -1.0) if mechanism == "one-sided-gap" else (1.0,):
+            for unit in candidates(shape, float(np.max(np.abs(z)))):
+                made = side * force_along(shape, side * z, side * v, unit, around=False)
+                along, size = float(force @ made), float(made @ made)
+                if along**2 <= alike**2 * size * whole or (shape.positive and along <= 0):
+                    continue
+                value = unit.copy()
+                value[0] = along / size
+                if shape.law == "stick-slip":
+                    value[1] = value[0] * unit[1]
+                spot = lead.spot if side > 0 else replace(lead.spot, axis=_turned(lead.spot.axis))
+                if best is None or along**2 / size > best[0]:
+                    best = (along**2 / size, Lead(spot, mechanism, value, lead.gain))
+        out += [best] if best is not None else []
+    return [q for _, q in sorted(out, key=lambda row: -row[0])]
+
+
+def _turned(axis: str) -> str:
+    """The other sense of an axis."""
+    return axis[1:] if axis.startswith("-") else "-" + axis
+
+
 def ranked(background: Background, found: Sequence[Recovered]) -> list[Recovered]:
     """Spots by what the general law, dry friction among its terms, removes there; the best first."""
     out = []

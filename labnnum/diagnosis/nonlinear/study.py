@@ -27,7 +27,7 @@ from labnnum.diagnosis.nonlinear.explore import (
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.laws import SHAPES
-from labnnum.diagnosis.nonlinear.leads import general_lead, unnamed_like
+from labnnum.diagnosis.nonlinear.leads import general_lead, named_like, unnamed_like
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot
 from labnnum.diagnosis.nonlinear.loosen import in_step, in_step_already, tied
 from labnnum.diagnosis.nonlinear.numbered import numbered
@@ -488,6 +488,22 @@ def finely_carried(bench: Bench, t: Tried, steps: float) -> Tried:
     terms = [replace(one, last=True, steps=steps) for one in t.made.terms]
     joint = Joint(bench.engine, bench.point, bench.runs, terms, bench.scatter, bench.lines)
     return tried_fit(joint, t.made.x, t.made.orbits, t.lead, LONG, more=t.more) or t
+
+
+def named_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
+    """The law, and the others with a name that are like it and were not simulated at its place; the best first."""
+    loud = best.made.orbits[int(np.argmax([r.level for r in study.runs]))] if best.simulated and best.named else None
+    if loud is None or best.more or best.mechanism not in LAWS:
+        return [best]
+    here = [t for t in study.tried if t.simulated and t.spot.place == best.spot.place]
+    done = {t.mechanism for t in here if not _behind(t, best)} | {best.mechanism}
+    bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE).against(best)
+    made: list[Tried] = []
+    for lead in named_like(best.lead, -loud.time[:, 0], loud.motion[:, 0], [m for m in LAWS if m not in done]):
+        one = bench.direct((best.made.x[: best.made.n_base],), lead, BEGINNING, soften=False)
+        if one is not None and not _behind(one, best):
+            made.append(bench.carry_on(one, LONG, last=best.made.terms[0].last))
+    return sorted([best, *made], key=lambda t: t.cost)
 
 
 def nameless_kin(study: Study, best: Tried, scatter: Scatter) -> Tried | None:

@@ -21,7 +21,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fit
 from labnnum.diagnosis.nonlinear.duet import duets
 from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
-from labnnum.diagnosis.nonlinear.leads import unnamed_like
+from labnnum.diagnosis.nonlinear.leads import named_like, unnamed_like
 from labnnum.diagnosis.nonlinear.lines import LINES, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.nearby import heard, moved
@@ -118,7 +118,7 @@ def contest(
     wide = slackened(bench, ladder[0])
     if glimpse is not bench:
         whole = [wide.direct((t.made.x[: t.made.n_base],), of_fit(t), STEPS, soften=False) for t in near]
-        near = nearest_of([t for t in whole if t is not None], CARRIED + 1)
+        near = _nearest([t for t in whole if t is not None], CARRIED)
     if not near or near[0].cost * alone.count > HELPS * alone.objective * near[0].made.count:
         return Contest()
     told = not near[0].named and _sound(near[0], heard(bench, wide))
@@ -132,10 +132,18 @@ def contest(
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
         carried: list[Tried] = []
         for t in near:
-            racing = on.against(min(carried, key=lambda one: one.cost)) if carried else on
+            rivals = [one for one in carried if one.named]
+            racing = on.against(min(rivals, key=lambda one: one.cost)) if rivals else on
             carried.append(racing.carry_on(t, steps, last=sharp(t) and slack < ROUGH))
-        near = nearest_of(carried, CARRIED if slack else ENDED)
+        near = _nearest(carried, CARRIED if slack else ENDED)
     return Contest(tuple(near), tuple(t for t in pairs if t.cost < BETTER * near[0].cost))
+
+
+def _nearest(tried: list[Tried], most: int) -> list[Tried]:
+    """The best named laws, as far as they are near the first of them, and one without a name that is better."""
+    named = nearest_of([t for t in tried if t.named], most)
+    least = min((t.cost for t in named), default=np.inf)
+    return sorted([*named, *(t for t in tried if not t.named and t.cost < least)], key=lambda t: t.cost)
 
 
 Shown = tuple[NDArray, Sequence[Recovered], Sequence[Lead]]
@@ -157,7 +165,7 @@ def _widest(
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
     near = nearest_of([*near, *_turned(wide, x, near, min(clear, noise * alone.count))], CARRIED)
     near = nearest_of([*near, *moved(wide, x, near, spots, noise)], CARRIED)
-    return sorted([*near, *_without_name(wide, near, noise)], key=lambda t: t.cost), alone
+    return sorted([*near, *_kindred(wide, near, laws, noise)], key=lambda t: t.cost), alone
 
 
 def _glimpse(bench: Bench) -> Bench:
@@ -188,9 +196,9 @@ def relaxed(bench: Bench, x: NDArray, leads: Sequence[Lead]) -> Tried | None:
     return t
 
 
-def _without_name(wide: Bench, near: Sequence[Tried], noise: float) -> list[Tried]:
-    """The nearest law without a name that makes nearly the same force as the nearest one, if that leaves more than
-    `noise` a value or bends the base, and this one costs less.
+def _kindred(wide: Bench, near: Sequence[Tried], laws: Sequence[str], noise: float) -> list[Tried]:
+    """The best named law, and the best without a name, that makes nearly the same force as the nearest one, if that
+    leaves more than `noise` a value or bends the base, and these cost less.
     """
     best = min(near, key=lambda t: t.cost, default=None)
     if best is None or _sound(best, noise):
@@ -199,10 +207,11 @@ def _without_name(wide: Bench, near: Sequence[Tried], noise: float) -> list[Trie
     if loud is None:
         return []
     racing, base = wide.against(best), best.made.x[: best.made.n_base]
-    leads = unnamed_like(best.lead, -loud.time[:, 0], loud.motion[:, 0], SIMILAR)[:NAMELESS]
+    alike = best.lead, -loud.time[:, 0], loud.motion[:, 0]
+    leads = [*named_like(*alike, laws), *unnamed_like(*alike, SIMILAR)[:NAMELESS]]
     made = [one for q in leads if (one := racing.direct((base,), q, STEPS, soften=False)) is not None]
-    made = [racing.carry_on(t, SETTLED, last=False) for t in nearest_of(made, 1)]
-    return [t for t in made if t.cost < best.cost]
+    made = [*nearest_of([t for t in made if t.named], 1), *nearest_of([t for t in made if not t.named], 1)]
+    return [t for t in (racing.carry_on(t, SETTLED, last=False) for t in made) if t.cost < best.cost]
 
 
 SIMILAR, NAMELESS = 0.4, 4
