@@ -72,8 +72,9 @@ def duets(
             for i, slack in enumerate(ladder[:RUNGS]):
                 on = slackened(bench, slack)
                 alone = on.carry_on(first, STEPS, last=False) if i else first
-                made = alone.made
-                if made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base:
+                if i and sharp(first) and not _kept(alone):  # it may be the steps that bend the base
+                    alone = on.carry_on(alone, STEPS, last=True)
+                if _kept(alone):
                     continue
                 pairs = _beside(on, first, spots, laws)
                 if pairs and pairs[0].cost < HALF * alone.cost:
@@ -81,6 +82,12 @@ def duets(
                     if done := _narrowed(bench, near, ladder[i + 1 :]):
                         return done
     return []
+
+
+def _kept(one: Tried) -> bool:
+    """Whether a law leaves no more than the tolerance and bends no base."""
+    made = one.made
+    return made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base
 
 
 def _beside(on: Bench, first: Tried, spots: Sequence[Spot], laws: Sequence[str]) -> list[Tried]:
