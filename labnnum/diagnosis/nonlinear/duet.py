@@ -69,18 +69,22 @@ def duets(
     """
     with counted():  # apart: a search that may find nothing tires none that comes after it
         for first in firsts[:FIRSTS]:
+            kept = 0
             for i, slack in enumerate(ladder[:RUNGS]):
                 on = slackened(bench, slack)
                 alone = on.carry_on(first, STEPS, last=False) if i else first
                 if i and sharp(first) and not _kept(alone):  # it may be the steps that bend the base
                     alone = on.carry_on(alone, STEPS, last=True)
                 if _kept(alone):
+                    kept += 1
                     continue
                 pairs = _beside(on, first, spots, laws)
                 if pairs and pairs[0].cost < HALF * alone.cost:
                     near = nearest_of([*pairs, *_of_kind(on, pairs[0])], ENDED)
                     if done := _narrowed(bench, near, ladder[i + 1 :]):
                         return done
+            if kept == len(ladder[:RUNGS]):  # this one alone comes near with all of them
+                break
     return []
 
 
