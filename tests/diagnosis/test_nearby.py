@@ -26,8 +26,8 @@ STOP = 4000.0, 2e-3
 """Stiffness (N/m) and gap (m) of stops on both sides."""
 
 
-def bench_with(element, levels=(1.0, 4.0, 16.0)):
-    return bench_of(observe_all([recorded([element], level) for level in levels]))
+def bench_with(*elements, levels=(1.0, 4.0, 16.0)):
+    return bench_of(observe_all([recorded(elements, level) for level in levels]))
 
 
 @pytest.fixture(scope="module")
