@@ -129,6 +129,10 @@ def test_the_middle_of_a_stretch_is_a_run_of_its_own(dry):
     assert part.noise[0, 5] == pytest.approx(4e-6 * 4000 / n)  # a mean over fewer samples is as much less sure
     assert shortened(bench.runs[0], 0.25) is bench.runs[0]  # a period is one
     assert shortened(run, 1.0) is run
+    t = np.arange(4000) / rate
+    sweep = np.fft.rfft(np.sin(2 * np.pi * (1.0 * t + 2.9 * t**2))) * (2 / 4000)  # from 1 to 59 Hz
+    swept = replace(run, u=sweep)
+    assert shortened(swept, 0.25) is swept
 
 
 def test_a_strong_law_without_a_name_wins_the_contest():

@@ -200,8 +200,13 @@ def resampled(run: Run) -> Run:
     )  # fmt: skip
 
 
+EVENLY, BLOCKS = 0.1, 12
+"""Power of the input in the middle of a stretch, of the whole one's, in each of some blocks of lines below which it is
+a sweep, whose parts are of other bands."""
+
+
 def shortened(run: Run, part: float) -> Run:
-    """The middle `part` of a stretch of noise as a run of its own."""
+    """The middle `part` of a stretch of noise as a run of its own; the run itself where it is a sweep or no stretch."""
     from scipy.fft import next_fast_len
 
     n = 2 * int(next_fast_len(max(int(part * run.period) // 2, 32), real=True) or 0)
@@ -212,6 +217,13 @@ def shortened(run: Run, part: float) -> Run:
     x = x - np.average(x, axis=1, weights=np.hanning(n + 1)[:-1])[:, None]
     spectra = np.fft.rfft(x, axis=1) * (2 / n)
     at = np.minimum(np.round(np.arange(n // 2 + 1) * run.period / n).astype(int), run.u.size - 1)
+    here, there = np.flatnonzero(run.excited[at]), np.flatnonzero(run.excited)
+    if here.size < BLOCKS:
+        return run
+    blocks = zip(np.array_split(here, BLOCKS), np.array_split(there, BLOCKS), strict=True)
+    powers = [[np.mean(np.abs(u[i]) ** 2) for u, i in zip((spectra[0], run.u), ij, strict=True)] for ij in blocks]
+    if any(own * n < EVENLY * whole * run.period for own, whole in powers):
+        return run
     return replace(
         run, period=n, u=spectra[0], y=spectra[1:], noise=run.noise[:, at] * (run.period / n), excited=run.excited[at],
         use=None if run.use is None else run.use[at], telling=None if run.telling is None else run.telling[at],
