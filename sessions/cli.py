@@ -80,7 +80,7 @@ for _name, _where in COMMANDS:
 def main() -> None:
     """Run the command line: status 2 for input that cannot be used, 1 for a failure, with one line why."""
     try:
-        status = app(standalone_mode=False)
+        status = app(prog_name="labnnum", standalone_mode=False)
     except InputError as error:
         _end(error, 2)
     except LabnnumError as error:
