@@ -11,6 +11,7 @@ from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.leads import named_like, unnamed_like
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Joint
 from labnnum.diagnosis.nonlinear.run import hann_of, shortened
 from labnnum.diagnosis.nonlinear.tempered import contest
@@ -28,7 +29,9 @@ SPOT = Spot(Place("ground", "3"), "x", np.array([0.0, 0.0, 1.0]))
 def along_a_sine(law):
     t = 2 * np.pi * np.arange(400) / 400
     motion = np.stack([2e-3 * np.sin(t), 0.1 * np.cos(t)], axis=1)
-    return law(*motion.T), motion
+    force = law(*motion.T)
+    still = np.zeros((2, 0))
+    return Orbit(still, force[-1:], still, still, -force[:, None], motion[:, None])
 
 
 def lead_of(mechanism, spot=SPOT):
@@ -45,32 +48,34 @@ def lead_of(mechanism, spot=SPOT):
     ],
 )
 def test_the_law_that_makes_a_force_is_the_one_most_like_it(law, name, values):
-    force, motion = along_a_sine(law)
-    best = named_like(lead_of("stick-slip"), force, motion, LAWS)[0]
+    orbit = along_a_sine(law)
+    best = named_like(lead_of("stick-slip"), orbit, LAWS)[0]
     assert best.mechanism == name
     assert best.p[: len(values)] == pytest.approx(values, rel=0.1)
 
 
 def test_a_stop_on_the_other_side_is_told_by_its_axis():
-    force, motion = along_a_sine(lambda z, v: -4e3 * np.maximum(-z - 7e-4, 0.0))
-    assert named_like(lead_of("clearance"), force, motion, LAWS)[0].spot.axis == "-x"
+    orbit = along_a_sine(lambda z, v: -4e3 * np.maximum(-z - 7e-4, 0.0))
+    assert named_like(lead_of("clearance"), orbit, LAWS)[0].spot.axis == "-x"
     turned = replace(SPOT, axis="-x")
-    assert named_like(lead_of("clearance", turned), force, motion, LAWS)[0].spot.axis == "x"
+    assert named_like(lead_of("clearance", turned), orbit, LAWS)[0].spot.axis == "x"
 
 
 def test_a_law_is_not_like_itself_nor_like_what_it_opposes():
-    force, motion = along_a_sine(lambda z, v: 5e3 * z**3)
-    assert "cubic-stiffness" not in [q.mechanism for q in named_like(lead_of("cubic-stiffness"), force, motion, LAWS)]
-    assert [q.mechanism for q in named_like(lead_of("stick-slip"), -force, motion, LAWS)] == ["cubic-stiffness"]
-    assert named_like(lead_of("cubic-stiffness"), 0 * force, motion, LAWS) == []
+    orbit = along_a_sine(lambda z, v: 5e3 * z**3)
+    assert "cubic-stiffness" not in [q.mechanism for q in named_like(lead_of("cubic-stiffness"), orbit, LAWS)]
+    assert [q.mechanism for q in named_like(lead_of("stick-slip"), replace(orbit, time=-orbit.time), LAWS)] == [
+        "cubic-stiffness"
+    ]
+    assert named_like(lead_of("cubic-stiffness"), replace(orbit, time=0 * orbit.time), LAWS) == []
 
 
 def test_a_law_without_a_name_is_like_one_that_has_one():
-    force, motion = along_a_sine(lambda z, v: 9e3 * z * abs(z))
-    best = unnamed_like(lead_of("cubic-stiffness"), force, motion)[0]
+    orbit = along_a_sine(lambda z, v: 9e3 * z * abs(z))
+    best = unnamed_like(lead_of("cubic-stiffness"), orbit)[0]
     assert (best.mechanism, best.p[0]) == ("general", pytest.approx(9e3))
-    drag, motion = along_a_sine(lambda z, v: 20.0 * v * abs(v))
-    strict, loose = (unnamed_like(lead_of("quadratic-damping"), drag, motion, least) for least in (0.9, 0.4))
+    drag = along_a_sine(lambda z, v: 20.0 * v * abs(v))
+    strict, loose = (unnamed_like(lead_of("quadratic-damping"), drag, least) for least in (0.9, 0.4))
     assert len(strict) < len(loose)
 
 

@@ -165,7 +165,7 @@ def test_places_are_compared_in_step_where_any_that_comes_near_is(monkeypatch, r
     monkeypatch.setattr(study, "in_step", lambda bench, one, steps: shown[one.spot.place])
     monkeypatch.setattr(study, "tied", in_step_too)
     with counted():
-        bench = SimpleNamespace(against=lambda best: None)
+        bench = SimpleNamespace(against=lambda *tried: None)
         found = study.simulated(bench, [tried("here", 180.0), tried("next", 190.0)])
     assert asked == (["here"] if again else [])
     assert found[0].spot.place == ("here" if again else "next")

@@ -60,7 +60,7 @@ def test_a_law_for_which_the_base_bends_far_is_tried_elsewhere_from_the_unbent_b
     followed = []
 
     class OnLines:
-        def against(self, best):
+        def against(self, *tried):
             return self
 
         def follow(self, x, lead, steps):
@@ -100,7 +100,7 @@ def test_a_law_that_leaves_much_or_bends_the_base_is_simulated_where_its_force_w
     simulated = []
 
     class OnLines:
-        def against(self, best):
+        def against(self, *tried):
             return self
 
         def follow(self, x, lead, steps):
@@ -151,7 +151,7 @@ def test_a_law_that_leaves_little_for_a_bent_base_is_fitted_again_from_the_calm_
     begun = []
 
     class OnLines:
-        def against(self, best):
+        def against(self, *tried):
             return self
 
         def joint(self, terms):

@@ -14,7 +14,7 @@ from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
 from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
-from labnnum.diagnosis.nonlinear.orbit import CLOSED
+from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
@@ -107,11 +107,12 @@ class Bench:
     limit: float = np.inf
     """Objective per value above which where a fit ends is of no use: one that falls too slowly for it is given up."""
 
-    def against(self, best: Tried) -> Bench:
-        """The same for rivals of a law, of which those that leave several times as much need not be followed to their
-        end.
+    def against(self, *tried: Tried) -> Bench:
+        """The same for rivals of laws, if there are any: those that leave several times as much as the best of these
+        need not be followed to their end.
         """
-        return replace(self, limit=RACE * best.cost / best.made.count)
+        best = min(tried, key=lambda t: t.cost, default=None)
+        return self if best is None else replace(self, limit=RACE * best.cost / best.made.count)
 
     def on(self, most: int) -> Bench:
         """The same with `most` lines a run."""
@@ -250,6 +251,11 @@ def softened(joint: Joint, x: NDArray, lead: Lead) -> NDArray[np.float64]:
 
 SOFTER = 0.05
 """Fall of a frequency at most when a base is set free of what sticks."""
+
+
+def loudest(one: Tried, runs: Sequence[Run]) -> Orbit | None:
+    """Where a simulated law went in the loudest run."""
+    return one.made.orbits[int(np.argmax([r.level for r in runs]))]
 
 
 def of_fit(one: Tried) -> Lead:

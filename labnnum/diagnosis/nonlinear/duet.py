@@ -23,7 +23,6 @@ from labnnum.diagnosis.nonlinear.slack import (
     CARRIED,
     ENDED,
     LAST,
-    PAYS,
     ROUGH,
     SETTLED,
     STEPS,
@@ -31,6 +30,7 @@ from labnnum.diagnosis.nonlinear.slack import (
     nearest_of,
     sharp,
     slackened,
+    unbent,
 )
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.errors import EstimationError
@@ -73,9 +73,9 @@ def duets(
             for i, slack in enumerate(ladder[:RUNGS]):
                 on = slackened(bench, slack)
                 alone = on.carry_on(first, STEPS, last=False) if i else first
-                if i and sharp(first) and not _kept(alone):  # it may be the steps that bend the base
+                if i and sharp(first) and not unbent(alone, UNFIT):  # it may be the steps that bend the base
                     alone = on.carry_on(alone, STEPS, last=True)
-                if _kept(alone):
+                if unbent(alone, UNFIT):
                     kept += 1
                     continue
                 pairs = _beside(on, first, spots, laws)
@@ -86,12 +86,6 @@ def duets(
             if kept == len(ladder[:RUNGS]):  # this one alone comes near with all of them
                 break
     return []
-
-
-def _kept(one: Tried) -> bool:
-    """Whether a law leaves no more than the tolerance and bends no base."""
-    made = one.made
-    return made.data_part < UNFIT * made.count and made.prior_part < PAYS * made.n_base
 
 
 def _beside(on: Bench, first: Tried, spots: Sequence[Spot], laws: Sequence[str]) -> list[Tried]:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, loudest
 from labnnum.diagnosis.nonlinear.explore import LONG
 from labnnum.diagnosis.nonlinear.fitting import reduced
 from labnnum.diagnosis.nonlinear.force import N_P
@@ -64,7 +64,7 @@ def fast_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
     What holds moves next to nothing, so that its own law hardly matters, and anything strong enough explains most: what
     little it does move tells friction, which lets go at a limit, from the rest.
     """
-    loud = best.made.orbits[int(np.argmax([r.level for r in study.runs]))] if best.simulated else None
+    loud = loudest(best, study.runs) if best.simulated else None
     if loud is None or best.more or best.mechanism == "coulomb-friction":
         return [best]
     force, motion = loud.time[:, 0], loud.motion[:, 0, 0]

@@ -20,6 +20,7 @@ from labnnum.diagnosis.nonlinear.locate import (
     spectra_of,
     through,
 )
+from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Joint
 
 
@@ -95,12 +96,12 @@ FOREMOST = 2
 """Of them, those of each spot that compete with the named laws."""
 
 
-def unnamed_like(lead: Lead, force: NDArray, motion: NDArray, alike: float = ALIKE) -> list[Lead]:
-    """Laws of one term without a name whose opposing force along a motion (n, 2) has a correlation of `alike` or more
-    with that of a law (n,); the most alike first.
+def unnamed_like(lead: Lead, orbit: Orbit, alike: float = ALIKE) -> list[Lead]:
+    """Laws of one term without a name whose force along a law's orbit has a correlation of `alike` or more with the
+    law's; the most alike first.
     """
     out: list[tuple[float, Lead]] = []
-    terms = general_basis(*motion.T)
+    force, terms = -orbit.time[:, 0], general_basis(*orbit.motion[:, 0].T)
     for i in UNNAMED:
         along, size = float(force @ terms[i]), float(terms[i] @ terms[i])
         if along**2 > alike**2 * size * float(force @ force) > 0:
@@ -110,14 +111,13 @@ def unnamed_like(lead: Lead, force: NDArray, motion: NDArray, alike: float = ALI
     return [q for _, q in sorted(out, key=lambda row: row[0])]
 
 
-def named_like(
-    lead: Lead, force: NDArray, motion: NDArray, mechanisms: Sequence[str], alike: float = ALIKE
-) -> list[Lead]:  # fmt: skip
-    """The other named laws whose opposing force along a motion (n, 2) has a correlation of `alike` or more with a law's
-    (n,), with the gap, the slip and the strength that make it so; the most alike first.
+def named_like(lead: Lead, orbit: Orbit, mechanisms: Sequence[str], alike: float = ALIKE) -> list[Lead]:
+    """The other named laws whose force along a law's orbit has a correlation of `alike` or more with the law's, with
+    the gap, the slip and the strength that make it so; the most alike first.
     """
     out: list[tuple[float, Lead]] = []
-    (z, v), whole = motion.T, float(force @ force)
+    force, (z, v) = -orbit.time[:, 0], orbit.motion[:, 0].T
+    whole = float(force @ force)
     for mechanism in (m for m in mechanisms if m != lead.mechanism and whole > 0):
         shape = SHAPES[mechanism]
         best: tuple[float, Lead] | None = None
@@ -131,14 +131,14 @@ def named_like(
                 value[0] = along / size
                 if shape.law == "stick-slip":
                     value[1] = value[0] * unit[1]
-                spot = lead.spot if side > 0 else replace(lead.spot, axis=_turned(lead.spot.axis))
+                spot = lead.spot if side > 0 else replace(lead.spot, axis=_opposite(lead.spot.axis))
                 if best is None or along**2 / size > best[0]:
                     best = (along**2 / size, Lead(spot, mechanism, value, lead.gain))
         out += [best] if best is not None else []
     return [q for _, q in sorted(out, key=lambda row: -row[0])]
 
 
-def _turned(axis: str) -> str:
+def _opposite(axis: str) -> str:
     """The other sense of an axis."""
     return axis[1:] if axis.startswith("-") else "-" + axis
 

@@ -67,6 +67,11 @@ def sharp(t: Tried) -> bool:
     return any(law == "coulomb-friction" or SHAPES[law].law in KINKED for law in laws)
 
 
+def unbent(one: Tried, most: float) -> bool:
+    """Whether a law leaves less than `most` a value and bends no base."""
+    return one.made.data_part < most * one.made.count and one.made.prior_part < PAYS * one.made.n_base
+
+
 def nearest_of(tried: list[Tried], most: int, far: float = FAR) -> list[Tried]:
     """The best, as far as they are near the first."""
     tried = sorted(tried, key=lambda t: t.cost)

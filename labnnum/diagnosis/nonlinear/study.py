@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit, tried_fit
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, loudest, of_fit, tried_fit
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import (
     LAWS,
@@ -148,8 +148,7 @@ def simulated(bench: Bench, near: Sequence[Tried], calm: NDArray | None = None) 
         if alike >= most[0 if t.named else 1] or (enough and t.cost > level and t.cost > best):
             out.append(t)
             continue
-        first = min(out, key=lambda o: o.cost if o.simulated else np.inf, default=None)
-        racing = bench if first is None or not first.simulated else bench.against(first)
+        racing = bench.against(*(o for o in out if o.simulated))
         one = t if t.simulated else in_step(racing, t, LONG)
         if one is None:
             continue
@@ -492,14 +491,14 @@ def finely_carried(bench: Bench, t: Tried, steps: float) -> Tried:
 
 def named_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
     """The law, and the others with a name that are like it and were not simulated at its place; the best first."""
-    loud = best.made.orbits[int(np.argmax([r.level for r in study.runs]))] if best.simulated and best.named else None
+    loud = loudest(best, study.runs) if best.simulated and best.named else None
     if loud is None or best.more or best.mechanism not in LAWS:
         return [best]
     here = [t for t in study.tried if t.simulated and t.spot.place == best.spot.place]
     done = {t.mechanism for t in here if not _behind(t, best)} | {best.mechanism}
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE).against(best)
     made: list[Tried] = []
-    for lead in named_like(best.lead, -loud.time[:, 0], loud.motion[:, 0], [m for m in LAWS if m not in done]):
+    for lead in named_like(best.lead, loud, [m for m in LAWS if m not in done]):
         one = bench.direct((best.made.x[: best.made.n_base],), lead, BEGINNING, soften=False)
         if one is not None and not _behind(one, best):
             made.append(bench.carry_on(one, LONG, last=best.made.terms[0].last))
@@ -515,10 +514,10 @@ def nameless_kin(study: Study, best: Tried, scatter: Scatter) -> Tried | None:
     if not (best.simulated and best.named) or best.more or not all(best.made.orbits):
         return None
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE).against(best)
-    loud = best.made.orbits[int(np.argmax([r.level for r in study.runs]))]
+    loud = loudest(best, study.runs)
     assert loud is not None
     made: list[Tried] = []
-    for lead in unnamed_like(best.lead, -loud.time[:, 0], loud.motion[:, 0]):
+    for lead in unnamed_like(best.lead, loud):
         one = bench.direct((best.made.x[: best.made.n_base],), lead, BEGINNING)
         if one is not None and not _behind(one, best):
             one = bench.carry_on(one, LONG, last=False)

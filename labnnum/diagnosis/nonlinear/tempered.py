@@ -17,7 +17,7 @@ from itertools import zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.nonlinear.bench import Bench, Tried, of_fit
+from labnnum.diagnosis.nonlinear.bench import Bench, Tried, loudest, of_fit
 from labnnum.diagnosis.nonlinear.duet import duets
 from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
@@ -37,7 +37,6 @@ from labnnum.diagnosis.nonlinear.slack import (
     FAR,
     LADDER,
     LAST,
-    PAYS,
     ROUGH,
     ROUGHLY,
     SETTLED,
@@ -46,6 +45,7 @@ from labnnum.diagnosis.nonlinear.slack import (
     nearest_of,
     sharp,
     slackened,
+    unbent,
 )
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.mechanisms.base import Place
@@ -121,7 +121,7 @@ def contest(
         near = _nearest([t for t in whole if t is not None], CARRIED)
     if not near or near[0].cost * alone.count > HELPS * alone.objective * near[0].made.count:
         return Contest()
-    told = not near[0].named and _sound(near[0], heard(bench, wide))
+    told = not near[0].named and unbent(near[0], heard(bench, wide))
     firsts = [] if told else [t for t in near if t.named]
     pairs = duets(bench, firsts, [q.spot for q in found], laws, ladder)
     if near[0].cost * alone.count > HOPEFUL * alone.objective * near[0].made.count and not pairs:
@@ -132,8 +132,7 @@ def contest(
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
         carried: list[Tried] = []
         for t in near:
-            rivals = [one for one in carried if one.named]
-            racing = on.against(min(rivals, key=lambda one: one.cost)) if rivals else on
+            racing = on.against(*(one for one in carried if one.named))
             carried.append(racing.carry_on(t, steps, last=sharp(t) and slack < ROUGH))
         near = _nearest(carried, CARRIED if slack else ENDED)
     return Contest(tuple(near), tuple(t for t in pairs if t.cost < BETTER * near[0].cost))
@@ -163,7 +162,7 @@ def _widest(
     begun = _begun(wide, promised, BEGUN if len(shown) == 1 else BOTH, clear)
     begun += _kin(wide, promised, begun, clear)
     near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
-    near = nearest_of([*near, *_turned(wide, x, near, min(clear, noise * alone.count))], CARRIED)
+    near = nearest_of([*near, *_turned(wide, x, near, min(clear / alone.count, noise))], CARRIED)
     near = nearest_of([*near, *moved(wide, x, near, spots, noise)], CARRIED)
     return sorted([*near, *_kindred(wide, near, laws, noise)], key=lambda t: t.cost), alone
 
@@ -201,14 +200,13 @@ def _kindred(wide: Bench, near: Sequence[Tried], laws: Sequence[str], noise: flo
     leaves more than `noise` a value or bends the base, and these cost less.
     """
     best = min(near, key=lambda t: t.cost, default=None)
-    if best is None or _sound(best, noise):
+    if best is None or unbent(best, noise):
         return []
-    loud = best.made.orbits[int(np.argmax([r.level for r in wide.runs]))]
+    loud = loudest(best, wide.runs)
     if loud is None:
         return []
     racing, base = wide.against(best), best.made.x[: best.made.n_base]
-    alike = best.lead, -loud.time[:, 0], loud.motion[:, 0]
-    leads = [*named_like(*alike, laws), *unnamed_like(*alike, SIMILAR)[:NAMELESS]]
+    leads = [*named_like(best.lead, loud, laws), *unnamed_like(best.lead, loud, SIMILAR)[:NAMELESS]]
     made = [one for q in leads if (one := racing.direct((base,), q, STEPS, soften=False)) is not None]
     made = [*nearest_of([t for t in made if t.named], 1), *nearest_of([t for t in made if not t.named], 1)]
     return [t for t in (racing.carry_on(t, SETTLED, last=False) for t in made) if t.cost < best.cost]
@@ -218,22 +216,17 @@ SIMILAR, NAMELESS = 0.4, 4
 """Correlation with the force of the nearest law from which one without a name is tried instead, and how many are."""
 
 
-def _sound(one: Tried, noise: float) -> bool:
-    """Whether a law leaves less than `noise` a value and bends no base."""
-    return one.made.data_part < noise * one.made.count and one.made.prior_part < PAYS * one.made.n_base
-
-
 RELATED = 5.0
 """Cost, of the least, above which a law is not tried in another form."""
 
 
 def _turned(wide: Bench, x: NDArray, near: Sequence[Tried], clear: float) -> list[Tried]:
-    """Laws of the same place and size in the stead of those that come nearest, if the first leaves more than `clear` or
-    bends the base: of a slider what yields bit by bit, of a stop on one side stops on both, and the other way round;
-    each from the base vector `x`.
+    """Laws of the same place and size in the stead of those that come nearest, if the first leaves more than `clear` a
+    value or bends the base: of a slider what yields bit by bit, of a stop on one side stops on both, and the other way
+    round; each from the base vector `x`.
     """
     best = min(near, key=lambda t: t.cost, default=None)
-    if best is None or (best.made.data_part < clear and best.made.prior_part < PAYS * best.made.n_base):
+    if best is None or unbent(best, clear):
         return []
     leads: dict[tuple[str, bytes], Lead] = {}
     for t in nearest_of(list(near), len(near), RELATED):
@@ -286,8 +279,7 @@ def _begun(wide: Bench, leads: Sequence[tuple[Lead, NDArray]], most: int, clear:
             break
         if place is not None and lead.spot.place != place:
             continue
-        racing = wide.against(min(out, key=lambda t: t.cost)) if out else wide
-        one = racing.direct((x,), lead, BRIEF, soften=False)
+        one = wide.against(*out).direct((x,), lead, BRIEF, soften=False)
         if one is None:
             continue
         if one.cost < FAR * min((t.cost for t in out), default=np.inf):

@@ -46,11 +46,11 @@ def clear(found: NonlinearAnswer) -> bool:
     needs something linear beside it to be, or that leaves little and has no name.
     """
     base = found.study.base.data_part / found.study.base.count
-    sure = bool(found.named) or (found.reason in (NOTHING, BOUGHT) and strained(found))
     last = found.laws[-1].made
-    if found.reason in FOUND and found.misfit < MISFIT and last.prior_part < BENT * last.n_base:
-        return found.lying is None
-    return sure and found.lying is None and found.misfit < max(MISFIT, CLEAR * base)
+    sure = bool(found.named) or (found.reason in (NOTHING, BOUGHT) and strained(found))
+    nameless = found.reason in FOUND and last.prior_part < BENT * last.n_base
+    most = max(MISFIT, CLEAR * base) if sure else MISFIT
+    return (sure or nameless) and found.lying is None and found.misfit < most
 
 
 def idle(second: NonlinearAnswer) -> bool:
