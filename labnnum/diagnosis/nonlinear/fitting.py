@@ -115,6 +115,8 @@ def fit(
     value = reduced(r, b)[0] + joint.price(x)
     if best[0] < value:
         value, x, orbits = best[0], best[1], best[2]
+    if not (np.diag(best[3]) >= 0).all():  # what is marginalised explains more than all, beyond what numbers hold
+        raise EstimationError("the response at the end of the fit is beyond all numbers")
     hessian = best[3] + np.diag(np.where(np.diag(best[3]) < UNTOLD, UNTOLD, 0.0))
     d = np.sqrt(np.diag(hessian))
     inverse = np.linalg.pinv(hessian / np.outer(d, d), rcond=1e-12) / np.outer(d, d)
