@@ -57,7 +57,10 @@ def coupling(site: Site, a: str, b: str) -> tuple[list[int], list[int], NDArray]
 def touching(site: Site) -> tuple[tuple[str, str], ...]:
     """Pairs of nodes that K couples, in the order of the nodes, supports included where they are next in line."""
     names = list(dict.fromkeys(d.split(":")[0] for d in site.dofs))
-    pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :] if coupling(site, a, b) is not None]
+    rows = {name: list(dof_rows(site, name).values()) for name in names}
+    couples = np.abs(site.stiffness) > 1e-9 * np.abs(site.stiffness).max()
+    held = [name for name in names if rows[name]]
+    pairs = [(a, b) for i, a in enumerate(held) for b in held[i + 1 :] if couples[np.ix_(rows[a], rows[b])].any()]
     return tuple(pairs)
 
 
@@ -164,8 +167,9 @@ def element_gain(site: Site, a: str, b: str) -> NDArray[np.float64]:
     if found is None:
         return np.zeros(len(site.slopes))
     k = found[1]
+    pairs = touching(site)
     out = []
     for slope in site.slopes:
-        changed = _element(replace(site, stiffness=slope), a, b, touching(site))
+        changed = _element(replace(site, stiffness=slope), a, b, pairs)
         out.append(0.0 if changed is None else float(np.sum(changed[1] * k) / np.sum(k * k)))
     return np.array(out)

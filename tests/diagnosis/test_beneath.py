@@ -144,7 +144,7 @@ def test_a_gain_that_the_errors_of_a_sound_model_excuse_is_named_beside_the_law(
 def test_a_dead_channel_does_not_hide_a_law():
     """Taking its fault off would leave no channel: it stays as it was recorded."""
     dead = fault(ChannelGain(), (-0.9999,), channel=1)
-    found = diagnose(chain(), [mended(o, [dead], back=True) for o in runs([CUBIC], chain(), levels=(2.0, 9.0))])
+    found = diagnose(chain(), [mended(o, [dead], back=True) for o in runs([CUBIC], chain(), levels=(1.0, 9.0))])
     assert found.named, found.summary
     assert found.named[0].term.mechanism.id == "cubic-stiffness", found.summary
     assert found.named[0].value == pytest.approx([2e4], rel=0.1)

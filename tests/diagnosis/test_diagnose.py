@@ -200,6 +200,6 @@ def test_a_spring_that_lost_half_is_found_from_where_another_name_stood(tmp_path
 
 
 def test_two_faults_are_both_named(tmp_path):
-    truth, content = diagnosed(tmp_path, 45, "free-beam", ("added-mass", "channel-gain"), (0.8, 0.8))
+    truth, content = diagnosed(tmp_path, 45, "frame", ("added-mass", "channel-gain"), (0.8, 0.8))
     names = {content["mechanism"]["id"], *(f["mechanism"]["id"] for f in content["further"])}
     assert names == {f["mechanism"] for f in truth["faults"]} == {"added-mass", "channel-gain"}
