@@ -15,6 +15,13 @@ A smooth peak, a parabola at its top, holds as many in both; one of fourth order
 PAIRS = 6
 """Samples at the rail up to which two in a row count: more pairs are a signal sampled in step with its period."""
 
+TIES, OFTEN, INWARDS = 16, 8.0, 20
+"""Samples at the very same outermost value that make a rail where none follows another: how many at least, how many
+times as many as at any of the next values inwards, and how many of those are looked at."""
+
+ROUNDING = 1e-9
+"""Difference of two values, of the largest, that is none."""
+
 LEVELS = 200
 """Sizes that a signal must take for a return to the very same one to tell anything."""
 
@@ -35,7 +42,8 @@ def clipped_runs(signal: ArrayLike, full_scale: float | None = None) -> list[tup
         Known end of range, in the signal's unit; every sample within 0.5 % of it counts. Without it a signal
         counts as clipped where its outermost level is a plateau: at least three samples in a row at the very
         same value (two, if the signal is finely resolved and noisy elsewhere), and far more samples at that level
-        than a smooth peak leaves there. The same is tried with levels as wide as the noise, for signals that
+        than a smooth peak leaves there; or single samples that return to it as they do to no other value. The same is
+        tried with levels as wide as the noise, for signals that
         were clipped before noise was added. A signal of fewer than sixteen steps of its converter is too coarse to
         tell, and counts as not clipped.
 
@@ -99,9 +107,29 @@ def _exact_plateau(side: NDArray, step: float, noise: float) -> NDArray | None:
     longest = max(b - a for a, b in runs(held))
     fine = step < 1e-4 * top and noise > 4 * step and np.count_nonzero(held) <= PAIRS
     if longest < 2 or (longest == 2 and not fine):
-        return None
+        return held if returns(side) else None
     below = np.count_nonzero((side < top - slack) & (side >= top - slack - 3 * step))
     return held if np.count_nonzero(held) > FLATNESS * below else None
+
+
+def returns(side: ArrayLike) -> bool:
+    """Whether samples return to the outermost value as they do to none of the next ones inwards.
+
+    Peaks shorter than two samples leave one sample each at a rail. What repeats itself exactly returns to every value
+    alike, and a smooth peak of a coarse converter leaves at most a few times more samples at its top.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).standard_normal(4000)
+    >>> returns(x), returns(np.minimum(x, 2.0)), returns(np.tile(x, 20))
+    (False, True, False)
+    """
+    x = np.asarray(side, float)
+    step = ROUNDING * np.abs(x).max()
+    if np.count_nonzero(x > x.max() - step) < TIES:
+        return False
+    value, count = np.unique(np.round(x / step), return_counts=True)
+    return bool(value.size >= LEVELS and count[-1] > OFTEN * count[-1 - INWARDS : -1].max())
 
 
 def _noisy_plateau(side: NDArray, step: float, noise: float) -> NDArray | None:

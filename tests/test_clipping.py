@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labnnum.clipping import _both_rails, clipped_runs, noise_level, resolution, runs
+from labnnum.clipping import _both_rails, clipped_runs, noise_level, resolution, returns, runs
 
 T = np.arange(20000) / 20000
 
@@ -97,3 +97,29 @@ def test_a_signal_of_a_few_of_the_converters_steps_is_coarse_and_not_clipped(ste
     x = np.round(np.clip(0.4 * steps * rng.standard_normal(20000), -steps, steps)) * 0.0479
     assert clipped_runs(x) == []
     assert clipped_runs(x, full_scale=0.0479 * steps)
+
+
+def _noise(n=20000, over=1.0):
+    return over * np.random.default_rng(5).standard_normal(n)
+
+
+def test_single_samples_that_return_to_one_value_are_at_a_rail():
+    """White noise stays at a rail for one sample at a time."""
+    x = _noise()
+    top = np.sort(x)[-40]
+    held = clipped_runs(np.minimum(x, top))
+    assert sum(b - a for a, b in held) == 40
+    assert clipped_runs(x) == []
+
+
+@pytest.mark.parametrize("bits", [0, 8, 12, 16])
+@pytest.mark.parametrize("what", ["noise", "sine", "repeated", "swelling"])
+def test_a_signal_that_returns_to_every_value_alike_is_at_no_rail(what, bits):
+    t = np.arange(20000)
+    x = {
+        "noise": _noise(), "sine": np.sin(2 * np.pi * t / 100), "repeated": np.tile(_noise(500), 40),
+        "swelling": np.sin(1e-5 * t**2) * np.sin(np.pi * t / t.size),
+    }[what]  # fmt: skip
+    x = _digitised(x / np.abs(x).max() * 0.9, bits)
+    assert not returns(x)
+    assert not returns(-x)

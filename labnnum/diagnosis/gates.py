@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.creep import take_back
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.railed import railed
+from labnnum.diagnosis.rails import Clip
 from labnnum.diagnosis.verdict import Named
 from labnnum.frf import Frf
 from labnnum.mechanisms.base import Place, Term
@@ -24,7 +25,10 @@ LOUD_DB = 12.0
 QUIET_DB = 6.0
 """Odd distortion above noise that counts as clean, over many lines."""
 PILED = 8.0
-"""Excess of samples at the rail over those just inside it that counts without distortion lines."""
+"""Excess of samples at the rail over those just inside it that counts without distortion lines;"""
+OFTEN_PILED, TIMES = 2.0, 12
+"""that of noise or a sweep that comes to the rail this often: peaks of its own end at different readings, and of a
+sweep that swells and fades a quarter as many lie at its end as just inside."""
 CHANGED = 1.25
 """Ratio of the change within a run to what its periods' scatter allows; sound runs scatter about 1."""
 BESIDE = 10.0
@@ -63,9 +67,25 @@ def pass_gates(observations: Sequence[Observation]) -> Gate:
     found = Named(term, np.array([level]), np.array([0.01 * level]), 0.99)
     clean = [o for o, c in zip(observations, clips, strict=True) if c != name]
     without = [made for o in observations if (made := _without(o, name)) is not None]
-    if not clean or (at_rail and len(without) == len(observations) and len(without[0].frf.outputs) > 1):
+    needed = at_rail or _others_change(name, clean, affected)
+    if not clean or (needed and len(without) == len(observations) and len(without[0].frf.outputs) > 1):
         clean = without  # a law needs the loud runs more than one channel of them
     return Gate((found,), tuple(clean or observations), distorted)
+
+
+def _others_change(name: str, clean: Sequence[Observation], affected: Sequence[Observation]) -> bool:
+    """Whether other channels too respond otherwise in the runs in which one clips than in the others."""
+    if not clean:
+        return False
+    low = min(clean, key=lambda o: o.level)
+    changes = [change_of_rows(low.frf, o.frf) for o in affected]
+    rows = np.array([c.name != name for c in low.frf.outputs])
+    return any(c is not None and bool((c[1][rows] > BENT).any()) for c in changes)
+
+
+def _often(clip: Clip, o: Observation) -> bool:
+    """Whether noise comes to the end of a channel's range again and again."""
+    return o.kind == "random" and clip.times >= TIMES
 
 
 def clipped_channel(o: Observation) -> str:
@@ -85,7 +105,7 @@ def clipped_channel(o: Observation) -> str:
             return outputs[int(loud[0])]
         if loud.size == 0:
             return ""
-    piled = {n: c.score for n, c in o.clipped.items() if c.score >= PILED}
+    piled = {n: c.score for n, c in o.clipped.items() if c.score >= (OFTEN_PILED if _often(c, o) else PILED)}
     if len(piled) == 1 or (piled and odd is None):
         return max(piled, key=lambda n: piled[n])
     return ""

@@ -8,16 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.clipping import returns, runs
 from labnnum.recording import Recording
 
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """Runs of samples at the end of a channel's range: share there, where (SI), the excess over chance."""
+    """Samples at the end of a channel's range: share there, where (SI), the excess over chance, times there."""
 
     share: float
     level: float
     score: float
+    times: int = 0
 
 
 def rails_of(recordings: Sequence[Recording]) -> tuple[dict[str, Clip], dict[str, float]]:
@@ -44,27 +46,36 @@ def flat_top(x: NDArray) -> Clip:
     return Clip(float(at.mean()), top, 10.0 if longest > 3 else 0.0)
 
 
-def clipping(x: NDArray) -> Clip:
-    """Whether samples pile up at both ends of a channel's range, where a signal's distribution thins out.
+WIDTHS = (0.001, 0.002, 0.005, 0.01)
+"""Parts of the range at its end in which samples may pile up: at a rail alone, with noise of the amplifier over it."""
+INSIDE = 5.0
+"""And of that in which the others lie with which these are compared."""
+ENOUGH, MORE = 12, 1.5
+"""Samples at the end at least, and how many times the others."""
 
-    The share of samples in the outermost 0.5 % of the range is compared with the share in the 2 % inside it:
-    a signal with tails has fewer further out, a clipped one many more, and stays there for several samples.
+
+def clipping(x: NDArray) -> Clip:
+    """Whether samples pile up at one end of a channel's range, where a signal's distribution thins out.
+
+    The share of samples in the outermost part of the range is compared with the share in the four parts inside it:
+    a signal with tails has fewer further out, peaks alone 0.8 times as many, a clipped signal many more. It stays
+    there for several samples, or comes back to the very same value.
     """
-    top = float(np.max(np.abs(x - np.median(x))))
+    x = x - np.median(x)
+    top = float(np.max(np.abs(x)))
     if top == 0 or x.size < 200:
         return Clip(0.0, 0.0, 0.0)
-    z = (x - np.median(x)) / top
     worst = Clip(0.0, 0.0, 0.0)
-    for sign in (1.0, -1.0):
-        edge = float(np.max(sign * z))
-        outer = sign * z > edge * 0.995
-        inner = (sign * z > edge * 0.975) & ~outer
-        n_outer, n_inner = int(outer.sum()), int(inner.sum())
-        runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], outer.astype(int), [0]]))))[::2]
-        longest = int(runs.max(initial=0))
-        share = n_outer / x.size
-        if n_outer >= 12 and n_outer > 1.5 * (n_inner + 4) and longest >= 2:
+    for side in (x, -x):
+        edge, tied = float(np.max(side)), returns(side)
+        for width in WIDTHS:
+            outer = side > edge * (1 - width)
+            n_outer = int(outer.sum())
+            n_inner = int(np.count_nonzero(side > edge * (1 - INSIDE * width))) - n_outer
+            stays = [b - a for a, b in runs(outer)]
+            if n_outer < ENOUGH or n_outer <= MORE * (n_inner + 4) or not (tied or max(stays) >= 2):
+                continue
             score = n_outer / (n_inner + 4)
             if score > worst.score:
-                worst = Clip(share, edge * top, float(score))
+                worst = Clip(n_outer / x.size, edge, float(score), len(stays))
     return worst

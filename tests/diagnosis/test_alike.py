@@ -50,6 +50,18 @@ def test_of_two_nodes_that_move_as_one_one_is_looked_at_and_the_other_told(stiff
     assert len(kept) == len(every) - (stiff > 1)
 
 
+def test_places_that_only_the_first_mode_moves_alike_are_two():
+    """On a soft foot it answers tens of thousands of times as much as the others, which tell them apart all the same."""
+    links = [Link("1", "ground", 0.1, 1e-3)]
+    links += [Link(str(i), str(i + 1), 1000.0, 1.0) for i in range(1, 4)]
+    engine = Engine(Chain({str(i): 1.0 for i in range(1, 5)}, tuple(links), ()), OUTPUTS, (FORCE,), (0.1, BAND[1]))
+    every = every_spot(engine)
+    state = engine.state(engine.theta0)
+    ground = [state.shape.T @ s.column for s in every if s.place.kind == "ground"]
+    assert np.ptp([g[0] for g in ground]) < 1e-3 * abs(ground[0][0])
+    assert len(distinct(engine, every)[0]) == len(every)
+
+
 def test_mirror_images_are_two_places():
     """They move as much in every mode, but not in the same sense."""
     masses, links = {str(i): 1.0 for i in range(1, 5)}, [Link("1", "ground", 1000.0, 1.0)]

@@ -195,22 +195,32 @@ def law(name: str, choose: Callable[[Generator, float, Sizes], Choice], inside: 
 
 ALIKE = 0.005
 """Difference of two motions, relative, in all modes as they answer within the band, that no measurement shows."""
+APART = 0.015
+"""Difference of the motions of every node under a force at either, relative, at half of the band's frequencies, that
+none shows: where the first mode outweighs all others, places that it alone moves alike are told apart by the others."""
 
 
 def moving_alike(state: State, row: NDArray, place: dict) -> tuple[dict, ...]:
     """Other places of the user's model that move as `row` does: what acts there does the same."""
     whole = plant(state)
-    square, shape = np.real(whole.square), np.real(whole.shape)
+    square, shape, loss = np.real(whole.square), np.real(whole.shape), np.real(whole.viscous)
     low, high = (2 * np.pi * f for f in band(state))
     own = np.clip(np.sqrt(np.maximum(square, 0.0)), low, high)
-    answer = 1 / np.abs(square - own**2 + 1j * np.real(whole.viscous) * own)
-    mine = answer * (row[state.mesh.active] @ shape)
+    answer = 1 / np.abs(square - own**2 + 1j * loss * own)
+    own_shape = row[state.mesh.active] @ shape
+    mine = answer * own_shape
+    every = [(other, candidate[state.mesh.active] @ shape) for other, candidate in _rows_of_all(state)]
+    nodes = np.array([motion for other, motion in every if other["kind"] == "ground"])
+    w = np.linspace(low, high, 300)[:, None]
+    lines = 1 / (square - w**2 + 1j * loss * w)
     out = []
-    for other, candidate in _rows_of_all(state):
-        motion = answer * (candidate[state.mesh.active] @ shape)
-        apart = min(np.linalg.norm(mine - motion), np.linalg.norm(mine + motion))
-        if apart < ALIKE * np.linalg.norm(mine) and other != place and other not in out:
-            out.append(other)
+    for other, motion in every:
+        for sense in (1.0, -1.0):
+            apart = np.linalg.norm(mine - sense * answer * motion)
+            if apart < ALIKE * np.linalg.norm(mine) and other != place and other not in out:
+                change = np.linalg.norm((lines * (own_shape - sense * motion)) @ nodes.T, axis=1)
+                if np.median(change / np.linalg.norm((lines * own_shape) @ nodes.T, axis=1)) < APART:
+                    out.append(other)
     return tuple(out)
 
 
