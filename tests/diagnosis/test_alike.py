@@ -51,7 +51,7 @@ def test_of_two_nodes_that_move_as_one_one_is_looked_at_and_the_other_told(stiff
 
 
 def test_places_that_only_the_first_mode_moves_alike_are_two():
-    """On a soft foot it answers tens of thousands of times as much as the others, which tell them apart all the same."""
+    """On a soft foot it answers ten thousand times as much as the others, which tell them apart all the same."""
     links = [Link("1", "ground", 0.1, 1e-3)]
     links += [Link(str(i), str(i + 1), 1000.0, 1.0) for i in range(1, 4)]
     engine = Engine(Chain({str(i): 1.0 for i in range(1, 5)}, tuple(links), ()), OUTPUTS, (FORCE,), (0.1, BAND[1]))
