@@ -238,7 +238,10 @@ def _without(o: Observation, name: str) -> Observation | None:
     distortion = {k: v[keep] if v.size == len(o.frf.outputs) else v for k, v in o.distortion.items()}
     run = o.run and replace(o.run, y=o.run.y[keep], noise=o.run.noise[keep], outputs=cut.outputs)
     rows = tuple(_less_channel(r, name) for r in o.recordings)
-    return replace(o, frf=cut, run=run, recordings=rows, drift_slope=slope, distortion=distortion)
+    clipped, peaks = ({n: v for n, v in known.items() if n != name} for known in (o.clipped, o.peaks))
+    return replace(
+        o, frf=cut, run=run, recordings=rows, drift_slope=slope, distortion=distortion, clipped=clipped, peaks=peaks
+    )
 
 
 def _less_channel(recording: Recording, name: str) -> Recording:

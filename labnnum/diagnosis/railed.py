@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.clipping import noise_level
 from labnnum.diagnosis.observe import Observation
 
 LOUD = 0.8
@@ -21,8 +22,9 @@ ONE_RAIL = 1.005
 """Ratio of the peaks of two runs up to which they end at one reading."""
 HITS = 3
 """Hits, the hardest of the loudest level, that must end at one reading,"""
-ALIKE, VARIED = 0.01, 0.04
-"""their spread, relative, and that of the other channels in the middle: hits by hand differ by more."""
+EXACT, NOISES, ALIKE, VARIED = 1e-3, 6.0, 0.01, 0.04
+"""their spread, relative: this, or so many deviations of the channel's noise up to a hundredth; and that of the other
+channels in the middle: hits by hand differ by more."""
 
 
 def railed(observations: Sequence[Observation]) -> list[str]:
@@ -67,9 +69,11 @@ def _of_hits(o: Observation) -> dict[str, float]:
         return {}
     hardest = np.sort(np.array(every), axis=0)[-HITS:]
     spread = hardest.max(axis=0) / np.maximum(hardest.min(axis=0), 1e-300) - 1.0
+    noise = np.max([[noise_level(x) for x in r.data] for r in o.recordings], axis=0)
+    limit = np.clip(NOISES * noise / np.maximum(hardest.min(axis=0), 1e-300), EXACT, ALIKE)
     out: dict[str, float] = {}
     for i, name in enumerate(names):
-        if spread[i] < ALIKE and float(np.median(np.delete(spread, i))) > VARIED:
+        if spread[i] < limit[i] and float(np.median(np.delete(spread, i))) > VARIED:
             out[name] = min(float(hardest[:, i].min()), o.peaks.get(name, np.inf))
     return out
 
