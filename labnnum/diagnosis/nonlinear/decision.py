@@ -166,8 +166,10 @@ def decide(
     elif lead < limits.name:
         reason = EQUAL
     sure = not reason or reason in (*FOUND, EQUAL)
-    useless = extended_error[1] > limits.improve * base_error[1] and extended_error[1] > 3 * noise
-    if sure and (useless or extended_error[1] > GAINS * base_error[1]):
+    shown = shown_error(joint, x, orbits, len(train))
+    left = shown if _astray(misfit, shown, extended_error[1], noise) else extended_error[1]
+    useless = left > limits.improve * base_error[1] and left > 3 * noise
+    if sure and (useless or left > GAINS * base_error[1] or extended_error[1] > 1.05 * base_error[1]):
         both = alone(found, train, test, scatter), joint
         scores = (
             foretold(both[0], plain, [None] * len(both[0].runs), len(train)),
@@ -204,7 +206,7 @@ def decide(
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best, last.made, scatter), found, tuple(laws),
         misfit, plain, noise, extended_error, gained, tuple(orbits), scatter=scatter,
         held_out=tuple(o.run for o in test if o.run is not None), equal=others_of(equal or {}, best.spot),
-        shown=shown_error(joint, x, orbits, len(train)),
+        shown=shown,
     )  # fmt: skip
 
 
@@ -212,8 +214,11 @@ def strays(found: NonlinearAnswer) -> bool:
     """Whether laws that leave next to nothing of the runs of the fit, and along the measured motion of those held out,
     simulate these in another steady state than the structure's.
     """
-    simulated = found.extended_error[1]
-    return found.misfit < MISFIT and ASTRAY * found.shown < simulated and ASTRAY * found.noise < simulated
+    return _astray(found.misfit, found.shown, found.extended_error[1], found.noise)
+
+
+def _astray(misfit: float, shown: float, simulated: float, noise: float) -> bool:
+    return misfit < MISFIT and ASTRAY * shown < simulated and ASTRAY * noise < simulated
 
 
 def _foretells(scores: tuple[tuple[float, int], tuple[float, int]], limits: Limits) -> bool:
