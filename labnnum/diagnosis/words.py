@@ -144,6 +144,8 @@ def next_experiment(d: Diagnosis, observations: Sequence[Observation]) -> str:
             return f"Add a sensor at {d.place}{between}, and repeat at two further levels."
         return "Exchange the cable and the transducer of that channel and repeat."
     first = d.named[0]
+    if first.term.mechanism.id == "channel-clipping":
+        return f"Give {first.place} a wider range, or drive less, and repeat the runs in which it clips."
     if first.term.mechanism.domain == "channel":
         return (
             f"Exchange the transducer and cable of {first.place} and repeat: the fault moves with them if it is theirs."

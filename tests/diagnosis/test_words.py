@@ -42,3 +42,10 @@ def test_a_law_that_was_compared_in_step_says_so(tight, said):
 @pytest.mark.parametrize(("shown", "said"), [(0.002, True), (0.019, False), (float("nan"), False)])
 def test_a_simulation_that_ends_in_another_state_is_told(shown, said):
     assert ("another steady state" in summarise(_named(0.8, shown=shown))) is said
+
+
+@pytest.mark.parametrize(("mechanism", "said"), [("channel-clipping", "wider range"), ("channel-gain", "transducer")])
+def test_what_to_do_about_a_channel(mechanism, said):
+    d = _named(0.8)
+    d.named[0].term.mechanism = SimpleNamespace(id=mechanism, domain="channel")
+    assert said in next_experiment(d, ())
