@@ -13,15 +13,18 @@ from labnnum.diagnosis.nonlinear.discrete import feedback
 from labnnum.diagnosis.nonlinear.explore import engine_start, looked
 from labnnum.diagnosis.nonlinear.fitting import GROUPS
 from labnnum.diagnosis.nonlinear.force import CODES, N_P
-from labnnum.diagnosis.nonlinear.locate import Lead, spots
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import Acting, _fine
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
-from labnnum.diagnosis.nonlinear.stuck import beside_spring, own_stiffness, quiet_data, stuck
+from labnnum.diagnosis.nonlinear.stuck import beside_spring, own_stiffness, quiet_data, springs_along, stuck
 from labnnum.diagnosis.nonlinear.study import yielding_kin
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.mechanisms.base import Group, Place, Term
+from labnnum.mechanisms.joint_stiffness import JointStiffness
+from labnnum.mechanisms.laws import Spring
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import (
     FORCE,
@@ -200,3 +203,21 @@ def test_few_sliders_are_counted_and_many_are_left_as_many():
             done = bench.carry_on(fewer, 20)
             assert of_fit(done).p[3] == told  # in every later fit too
             assert done.made.law(0)[0] == pytest.approx([800.0, 3.2, 0.6], rel=0.03)
+
+
+def test_a_whole_element_is_a_spring_along_the_turn_of_its_ends_alone():
+    """Opposite moments at its ends bend it with EI/L; opposite forces need moments of others."""
+    stiff, length = 7.0, 0.5
+    shear, slope = np.array([-1.0, length / 2, 1.0, length / 2]), np.array([0.0, -1.0, 0.0, 1.0])
+    columns = np.stack([np.sqrt(12 * stiff / length**3) * shear, np.sqrt(stiff / length) * slope], axis=1)
+    law = Spring(("relative_change",), ("1",))
+    group = Group(law, np.pad(columns, ((2, 1), (0, 0))), 0)
+    term = Term(JointStiffness(), Place("element", "a", "b"), (), np.zeros((0, 1)), (group,), "element")
+    turn = Spot(Place("joint", "a", "b"), "ry", np.pad(slope, (2, 1)))
+    lift = Spot(Place("joint", "a", "b"), "z", np.pad([-1.0, 0.0, 1.0, 0.0], (2, 1)))
+    other = Spot(Place("joint", "b", "c"), "ry", turn.column)
+    ((spot, unit),) = springs_along(term, [lift, other, turn])
+    assert spot is turn
+    assert unit == pytest.approx(stiff / length)
+    hinge = replace(term, groups=(replace(group, columns=np.pad(3.0 * slope, (2, 1))[:, None]),))
+    assert springs_along(hinge, [lift, turn]) == [(turn, pytest.approx(9.0))]

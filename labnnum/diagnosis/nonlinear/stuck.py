@@ -119,13 +119,13 @@ def sticking(
     for term in held:
         own = values[at : at + term.n]
         at += term.n
-        spot = spot_along(term, every)
-        if spot is None or own.size != 1 or own[0] <= 0 or not isinstance(term.sought.groups[0].law, Spring):
+        if own.size != 1 or own[0] <= 0 or not isinstance(term.sought.groups[0].law, Spring):
             continue
-        q = recover(bench.joint([]), x, bench.point, spot)
-        p = np.zeros(N_P)
-        p[0] = own[0] * unit_of(term, spot)
-        out.append((Lead(spot, "stick-slip", p, q.gain), float(np.std(q.z[high]))))
+        for spot, unit in springs_along(term, every):
+            q = recover(bench.joint([]), x, bench.point, spot)
+            p = np.zeros(N_P)
+            p[0] = own[0] * unit
+            out.append((Lead(spot, "stick-slip", p, q.gain), float(np.std(q.z[high]))))
     return out
 
 
@@ -140,6 +140,30 @@ def let_go(sliders: Sequence[tuple[Lead, float]]) -> tuple[tuple[Lead, ...], ...
             p[1:3] = limit, spread
             out.append((replace(slider, mechanism=mechanism, p=p),))
     return tuple(out)
+
+
+def springs_along(term: Term, spots: Sequence[Spot]) -> list[tuple[Spot, float]]:
+    """Spots between the ends of a term along whose motion it acts, or, of a whole element, along which alone it can be
+    loaded; and the stiffness there that a unit of its parameter is, N/m or N m/rad.
+    """
+    spot = spot_along(term, spots)
+    if spot is not None:
+        return [(spot, unit_of(term, spot))]
+    if len(term.sought.groups) != 1 or term.place.kind != "element":
+        return []
+    columns, out = term.sought.groups[0].columns, []
+    for s in spots:
+        if s.place.kind != "joint" or {s.place.id, s.place.to} != {term.place.id, term.place.to}:
+            continue
+        if s.column.shape == columns[:, 0].shape:
+            load = np.linalg.lstsq(columns, s.column, rcond=None)[0]
+            if np.linalg.norm(columns @ load - s.column) < BALANCED * np.linalg.norm(s.column):
+                out.append((s, 1.0 / float(load @ load)))
+    return out
+
+
+BALANCED = 0.01
+"""Part of two opposite forces or moments at the ends of an element that it may leave to others."""
 
 
 def spot_along(term: Term, spots: Sequence[Spot]) -> Spot | None:
