@@ -60,7 +60,8 @@ def observe(recording: Recording, lead: int | None = None) -> Observation:
     recording.require_finite()
     if not recording.inputs or not recording.outputs:
         raise ChannelError(f"{recording.label}: a diagnosis needs a reference or base channel and a response")
-    clipped = {c.name: clipping(x) for c, x in zip(recording.channels, recording.data, strict=True)}
+    repeats = recording.data.shape[1] // recording.period if recording.period else 1
+    clipped = {c.name: clipping(x, repeats) for c, x in zip(recording.channels, recording.data, strict=True)}
     clipped = {n: c for n, c in clipped.items() if c.score > 0}
     level = float(np.sqrt(np.mean(recording.data[recording.inputs[0]] ** 2)))
     if recording.period:

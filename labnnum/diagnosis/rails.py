@@ -47,19 +47,21 @@ def flat_top(x: NDArray) -> Clip:
 
 
 WIDTHS = (0.001, 0.002, 0.005, 0.01)
-"""Parts of the range at its end in which samples may pile up: at a rail alone, with noise of the amplifier over it."""
+"""Parts of the range at its end in which samples may pile up: at a rail alone, with the recorder's noise over it."""
 INSIDE = 5.0
 """And of that in which the others lie with which these are compared."""
-ENOUGH, MORE = 12, 1.5
-"""Samples at the end at least, and how many times the others."""
+ENOUGH, EACH, MORE = 12, 4, 1.5
+"""Samples at the end at least, in all and in each period of what repeats (a single peak leaves two there, and may leave
+none just below); and how many times the others."""
 
 
-def clipping(x: NDArray) -> Clip:
+def clipping(x: NDArray, repeats: int = 1) -> Clip:
     """Whether samples pile up at one end of a channel's range, where a signal's distribution thins out.
 
     The share of samples in the outermost part of the range is compared with the share in the four parts inside it:
     a signal with tails has fewer further out, peaks alone 0.8 times as many, a clipped signal many more. It stays
-    there for several samples, or comes back to the very same value.
+    there for several samples, or comes back to the very same value. Periods that are repeated `repeats` times tell no
+    more than one does.
     """
     x = x - np.median(x)
     top = float(np.max(np.abs(x)))
@@ -73,7 +75,11 @@ def clipping(x: NDArray) -> Clip:
             n_outer = int(outer.sum())
             n_inner = int(np.count_nonzero(side > edge * (1 - INSIDE * width))) - n_outer
             stays = [b - a for a, b in runs(outer)]
-            if n_outer < ENOUGH or n_outer <= MORE * (n_inner + 4) or not (tied or max(stays) >= 2):
+            if (
+                n_outer < max(ENOUGH, EACH * repeats)
+                or n_outer <= MORE * (n_inner + 4)
+                or not (tied or max(stays) >= 2)
+            ):
                 continue
             score = n_outer / (n_inner + 4)
             if score > worst.score:

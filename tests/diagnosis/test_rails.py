@@ -43,6 +43,17 @@ def test_what_ends_by_itself_does_not_pile_up(what):
     assert clipping(x + 1e-4 * noise(5)).score == 0
 
 
+@pytest.mark.parametrize("periods", [1, 12, 40])
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_peak_that_every_period_repeats_is_no_rail(periods, cut):
+    """Two samples beside its top, alike, and none just below: at forty periods eighty, on either side of nothing."""
+    t = np.arange(1000) - 499.5
+    x = np.cos(0.15 * t) * np.exp(-np.abs(t) / 200) - 0.1 * (t > 10)
+    x = np.clip(x, -0.6, 0.6) if cut else x
+    x = np.tile(x, periods) + 1e-5 * noise(6)[: periods * 1000]
+    assert bool(clipping(x, periods).score > 0) is cut
+
+
 def clipped_in_the_loudest(elements):
     """Runs of a chain at two levels, of which the louder one ends at the rail of channel a2 in noise."""
     every = runs(elements, chain(), levels=(1.0, 9.0))

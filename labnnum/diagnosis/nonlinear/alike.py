@@ -79,8 +79,8 @@ def _apart(one: NDArray, other: NDArray, n_out: int) -> float:
     see of a force, or of what an input moves, whichever is more.
     """
     parts = [(a, b) for a, b in ((one[:, :n_out], other[:, :n_out]), (one[:, n_out:], other[:, n_out:])) if a.size]
-    both = [
-        max(float(np.median(np.linalg.norm(a + sign * b, axis=1) / np.linalg.norm(a, axis=1))) for a, b in parts)
+    sizes = [np.maximum(np.linalg.norm(a, axis=1), 1e-300) for a, _ in parts]
+    return min(
+        max(float(np.median(np.linalg.norm(a + sign * b, axis=1) / s)) for (a, b), s in zip(parts, sizes, strict=True))
         for sign in (-1, 1)
-    ]
-    return min(both)
+    )
