@@ -30,7 +30,7 @@ from labnnum.diagnosis.nonlinear.slack import (
     nearest_of,
     sharp,
     slackened,
-    unbent,
+    within,
 )
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.errors import EstimationError
@@ -73,9 +73,9 @@ def duets(
             for i, slack in enumerate(ladder[:RUNGS]):
                 on = slackened(bench, slack)
                 alone = on.carry_on(first, STEPS, last=False) if i else first
-                if i and sharp(first) and not unbent(alone, UNFIT):  # it may be the steps that bend the base
+                if i and sharp(first) and not within(alone, UNFIT):  # it may be the steps that bend the base
                     alone = on.carry_on(alone, STEPS, last=True)
-                if unbent(alone, UNFIT):
+                if within(alone, UNFIT):
                     kept += 1
                     continue
                 pairs = _beside(on, first, spots, laws)

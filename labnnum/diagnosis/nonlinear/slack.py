@@ -67,7 +67,7 @@ def sharp(t: Tried) -> bool:
     return any(law == "coulomb-friction" or SHAPES[law].law in KINKED for law in laws)
 
 
-def unbent(one: Tried, most: float) -> bool:
+def within(one: Tried, most: float) -> bool:
     """Whether a law leaves less than `most` a value and bends no base."""
     return one.made.data_part < most * one.made.count and one.made.prior_part < PAYS * one.made.n_base
 

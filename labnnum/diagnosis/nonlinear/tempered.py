@@ -45,7 +45,7 @@ from labnnum.diagnosis.nonlinear.slack import (
     nearest_of,
     sharp,
     slackened,
-    unbent,
+    within,
 )
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
 from labnnum.mechanisms.base import Place
@@ -121,7 +121,7 @@ def contest(
         near = _nearest([t for t in whole if t is not None], CARRIED)
     if not near or near[0].cost * alone.count > HELPS * alone.objective * near[0].made.count:
         return Contest()
-    told = not near[0].named and unbent(near[0], heard(bench, wide))
+    told = not near[0].named and within(near[0], heard(bench, wide))
     firsts = [] if told else [t for t in near if t.named]
     pairs = duets(bench, firsts, [q.spot for q in found], laws, ladder)
     if near[0].cost * alone.count > HOPEFUL * alone.objective * near[0].made.count and not pairs:
@@ -200,7 +200,7 @@ def _kindred(wide: Bench, near: Sequence[Tried], laws: Sequence[str], noise: flo
     leaves more than `noise` a value or bends the base, and these cost less.
     """
     best = min(near, key=lambda t: t.cost, default=None)
-    if best is None or unbent(best, noise):
+    if best is None or within(best, noise):
         return []
     loud = loudest(best, wide.runs)
     if loud is None:
@@ -226,7 +226,7 @@ def _turned(wide: Bench, x: NDArray, near: Sequence[Tried], clear: float) -> lis
     round; each from the base vector `x`.
     """
     best = min(near, key=lambda t: t.cost, default=None)
-    if best is None or unbent(best, clear):
+    if best is None or within(best, clear):
         return []
     leads: dict[tuple[str, bytes], Lead] = {}
     for t in nearest_of(list(near), len(near), RELATED):
