@@ -113,8 +113,25 @@ def test_every_page_is_linked():
     pages = [p.name for p in sorted((ROOT / "docs").glob("*.md")) if p.name != "index.md"]
     assert [name for name in pages if f"({name})" not in index] == []
     for page in (*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CHANGELOG.md"):
-        for link in re.findall(r"\]\(([\w./-]+\.md)\)", page.read_text(encoding="utf-8")):
-            assert (page.parent / link).exists(), f"{shown(page)} links to {link}"
+        for link, heading in re.findall(r"\]\(([\w./-]+\.md)?(#[\w-]+)?\)", page.read_text(encoding="utf-8")):
+            told = page.parent / link if link else page
+            assert told.exists(), f"{shown(page)} links to {link}"
+            assert not heading or heading[1:] in headings(told), f"{shown(page)} links to {link}{heading}"
+
+
+def headings(page: Path) -> set[str]:
+    """Names by which a page's headings are linked to: lower case, no punctuation, hyphens for spaces."""
+    found = re.findall(r"^#+ +(.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", text).lower().replace(" ", "-") for text in found}
+
+
+def test_every_mechanism_is_listed():
+    """What it is, how it shows and what tells it apart, as the mechanism itself says."""
+    from labnnum.mechanisms import CATALOGUE
+
+    page = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    rows = ["| `" + " | ".join([m.id + "`", m.title, m.shows, m.told_apart]) + " |" for m in CATALOGUE]
+    assert [row for row in rows if row not in page] == []
 
 
 def test_the_commands_are_those_listed():
