@@ -14,7 +14,7 @@ from labnnum.mechanisms.base import Place, Term
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Thresholds on gains of the objective (chi-squares); set on nulls, see `docs/diagnosis.md`.
+    """Thresholds on gains of the objective (chi-squares); set on nulls, see `docs/diagnosis-method.md`.
 
     alarm: gain of the best term above which a sound structure is doubted.
     name: lead of the best name over the best at another place.
