@@ -53,24 +53,23 @@ class Observation:
 
 
 def observe(recording: Recording, lead: int | None = None) -> Observation:
-    """The observation of one recording; its kind follows from `period` and `breaks`.
+    """The observation of one recording; its kind follows from `period` and from what its input is (`is_hit`).
 
     `lead`: samples of rest before a record that does not repeat (`local_frf`); by itself it says how many if None.
     """
     recording.require_finite()
     if not recording.inputs or not recording.outputs:
         raise ChannelError(f"{recording.label}: a diagnosis needs a reference or base channel and a response")
-    repeats = recording.data.shape[1] // recording.period if recording.period else 1
-    clipped = {c.name: clipping(x, repeats) for c, x in zip(recording.channels, recording.data, strict=True)}
-    clipped = {n: c for n, c in clipped.items() if c.score > 0}
-    level = float(np.sqrt(np.mean(recording.data[recording.inputs[0]] ** 2)))
-    if recording.period:
-        made = _periodic(recording)
-    elif recording.breaks or is_hit(recording):
+    if is_hit(recording):
         return observe_hits([recording])
-    else:
-        made = _random(recording, lead)
-    peaks = {c.name: float(np.max(np.abs(x))) for c, x in zip(recording.channels, recording.data, strict=True)}
+    recording = longest_stretch(recording)
+    x = used(recording)
+    repeats = x.shape[1] // recording.period if recording.period else 1
+    clipped = {c.name: clipping(row, repeats) for c, row in zip(recording.channels, x, strict=True)}
+    clipped = {n: c for n, c in clipped.items() if c.score > 0}
+    level = float(np.sqrt(np.mean(x[recording.inputs[0]] ** 2)))
+    made = _periodic(recording) if recording.period else _random(recording, lead)
+    peaks = {c.name: float(np.max(np.abs(row))) for c, row in zip(recording.channels, x, strict=True)}
     return replace(made, level=level, clipped=clipped, peaks=peaks)
 
 
@@ -249,14 +248,50 @@ def _distortion(
 # -------------------------------------------------------------------- hits and random
 
 
+PULSE, PIECE = 100, 20
+"""Part of a record, and of one that was cut into pieces, that holds most of a blow's energy. The largest twentieth of
+noise holds a third of its energy, that of a sine a tenth.
+"""
+
+
 def is_hit(recording: Recording) -> bool:
-    """Whether the input is a short pulse: a hundredth of the record holds most of its energy."""
+    """Whether the input is short pulses: one in a record, or one in most of the pieces that breaks cut it into."""
     if recording.period or len(recording.inputs) != 1:
         return False
-    x = recording.data[recording.inputs[0]]
+    part = PIECE if recording.breaks else PULSE
+    pulses = [_is_pulse(recording.data[recording.inputs[0], a:b], part) for a, b in recording.spans()]
+    return 2 * sum(pulses) > len(pulses)
+
+
+def _is_pulse(x: NDArray, part: int) -> bool:
     x = x - np.median(x)
     energy = np.sort(x**2)[::-1]
-    return bool(energy[: max(x.size // 100, 8)].sum() > 0.8 * energy.sum())
+    return bool(energy[: max(x.size // part, 8)].sum() > 0.8 * energy.sum())
+
+
+def used(recording: Recording) -> NDArray[np.float64]:
+    """Samples (n_channels, n) that may be used, one span after the other."""
+    spans = list(recording.spans())
+    if not spans:
+        raise EstimationError(f"{recording.label}: all of it is excluded, expected samples that may be used")
+    return np.concatenate([recording.data[:, a:b] for a, b in spans], axis=1)
+
+
+def longest_stretch(recording: Recording) -> Recording:
+    """What is used of a record that neither repeats nor holds hits: its longest span, whatever lies beside it left out,
+    such as what was recorded before the level was reached.
+    """
+    if recording.period:
+        return recording
+    used(recording)
+    start, stop = max(recording.spans(), key=lambda span: span[1] - span[0])
+    if (start, stop) == (0, recording.n_samples):
+        return recording
+    over = ((c, max(a, start) - start, min(b, stop) - start) for c, a, b in recording.overloads)
+    return replace(
+        recording, data=recording.data[:, start:stop], breaks=(), excluded=(),
+        overloads=tuple((c, a, b) for c, a, b in over if a < b),
+    )  # fmt: skip
 
 
 def observe_hits(recordings: Sequence[Recording]) -> Observation:
@@ -312,8 +347,8 @@ def observe_all(recordings: Sequence[Recording]) -> list[Observation]:
     hits: list[tuple[int, Recording]] = []
     others: list[tuple[int, Recording]] = []
     for i, r in enumerate(recordings):
-        hit = r.inputs and r.outputs and (is_hit(r.require_finite()) or (r.breaks and not r.period))
-        (hits if hit else others).append((i, r))
+        hit = r.inputs and r.outputs and is_hit(r.require_finite())
+        (hits if hit else others).append((i, r if hit else longest_stretch(r)))
     leads = _leads([r for _, r in others])
     out += [replace(observe(r, lead), order=(i,)) for (i, r), lead in zip(others, leads, strict=True)]
     for group in _levels(hits):

@@ -267,6 +267,16 @@ class Beam(Structure):
         return replace(self, supports_at={n: h for n, h in self.supports_at.items() if n != node})
 
     @cached_property
+    def _free(self) -> Beam:
+        return replace(self, supports_at={})
+
+    def held_load(self, theta: NDArray) -> NDArray:
+        """What the ends that move with the base push the rest by, through the mass of the elements between."""
+        held = np.setdiff1d(self._free._kept, self._kept)
+        mass = self._free._assembled(theta)[0]
+        return mass[np.ix_(self._kept, held)] @ self._free.rigid(theta)[held]
+
+    @cached_property
     def _basis(self) -> NDArray[np.float64] | None:
         if self.damping.kind != "modal":
             return None

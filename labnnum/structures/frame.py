@@ -322,6 +322,17 @@ class Frame(Structure):
         return out
 
     @cached_property
+    def _free(self) -> Frame:
+        return replace(self, fixed={})
+
+    def held_load(self, theta: NDArray) -> NDArray:
+        """What the supports push the nodes by as they move with the base, through the mass of the members between."""
+        every = self._free._kept
+        held = np.flatnonzero(~np.isin(every, self._kept))
+        free = np.flatnonzero(np.isin(every, self._kept))
+        return self._free._assembled(theta)[0][np.ix_(free, held)] @ self._free.rigid(theta)[held]
+
+    @cached_property
     def _basis(self) -> NDArray[np.float64] | None:
         if self.damping.kind != "modal":
             return None

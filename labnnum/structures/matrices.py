@@ -159,6 +159,14 @@ class MatrixStructure(Structure):
             return None
         return replace(self, clamped=tuple(n for n in self.clamped if n != node))
 
+    def held_load(self, theta: NDArray) -> NDArray:
+        """What the clamped nodes push the rest by as they move with the base, through the mass that joins them."""
+        held = np.setdiff1d(np.arange(len(self.all_dofs)), self._kept)
+        moved = np.array([float(self.all_dofs[i].partition(":")[2] == self.base) for i in held])
+        change = dict(zip((p.name for p in self.parameters), np.asarray(theta) - self.nominal, strict=True))
+        mass = sum((change[name] * np.asarray(dm, float) for name, dm in self.dM.items()), np.asarray(self.M0, float))
+        return mass[np.ix_(self._kept, held)] @ moved
+
     @cached_property
     def _basis(self) -> NDArray[np.float64] | None:
         mass, stiffness, _ = self._at_nominal

@@ -27,6 +27,7 @@ _SMALL = 24
 _LARGE = 40
 _ACCURATE = 1e-7
 _REDUCED = 2e-5
+_REPRODUCED = 1e-10
 
 
 @final
@@ -155,9 +156,25 @@ def _setting(
         rigid = structure.rigid(structure.nominal)
         if not np.array_equal(rigid, structure.rigid(other)):
             return None, view
+        held = _held_terms(structure, family)
+        if held is None:
+            return None, view
         for t, row in enumerate(family.coefficients[0]):
-            loads[t, :, i] = -channel.sign * (family.filled(0, row) @ rigid)
+            loads[t, :, i] = -channel.sign * (family.filled(0, row) @ rigid + held[t])
     return Setting(family, view.omega, view.rows, loads), view
+
+
+def _held_terms(structure: Structure, family: MatrixFamily) -> NDArray[np.float64] | None:
+    """`Structure.held_load` in the family's terms, (n_terms, size); None where they do not reproduce it."""
+    low, high = bounds(structure.parameters)
+    some = np.random.default_rng(0).random((2 * len(family.powers) + 2, len(low)))
+    theta = low + (high - low) * some
+    held = np.array([structure.held_load(t) for t in theta])
+    if not held.any():
+        return np.zeros((len(family.powers), family.size))
+    terms = family.terms(theta)
+    made = np.linalg.lstsq(terms, held, rcond=None)[0]
+    return made if np.abs(terms @ made - held).max() <= _REPRODUCED * np.abs(held).max() else None
 
 
 def _engines(setting: Setting):
