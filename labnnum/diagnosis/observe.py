@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,9 +250,7 @@ def _distortion(
 
 
 PULSE, PIECE = 100, 20
-"""Part of a record, and of one that was cut into pieces, that holds most of a blow's energy. The largest twentieth of
-noise holds a third of its energy, that of a sine a tenth.
-"""
+"""Part of a record, and of one that was cut into pieces, that holds most of a blow's energy beyond noise."""
 
 
 def is_hit(recording: Recording) -> bool:
@@ -263,10 +262,21 @@ def is_hit(recording: Recording) -> bool:
     return 2 * sum(pulses) > len(pulses)
 
 
+ABOVE = 8.0
+"""A blow's height over the RMS of what lies outside that part: a million samples of noise reach five."""
+
+
 def _is_pulse(x: NDArray, part: int) -> bool:
-    x = x - np.median(x)
-    energy = np.sort(x**2)[::-1]
-    return bool(energy[: max(x.size // part, 8)].sum() > 0.8 * energy.sum())
+    """Whether a `part` of the samples (n,) holds four fifths of their energy, or one peak alone stands far above noise:
+    of a light blow in a long record noise may hold as much energy.
+    """
+    energy = (x - np.median(x)) ** 2
+    some = max(x.size // part, 8)
+    if np.sort(energy)[::-1][:some].sum() > 0.8 * energy.sum():
+        return True
+    top = int(np.argmax(energy))
+    rest = np.delete(energy, np.s_[max(top - some // 2, 0) : top + some // 2])
+    return bool(rest.size and energy[top] > max(ABOVE**2 * rest.mean(), 4.0 * rest.max()))
 
 
 def used(recording: Recording) -> NDArray[np.float64]:
@@ -294,7 +304,7 @@ def longest_stretch(recording: Recording) -> Recording:
     )  # fmt: skip
 
 
-def observe_hits(recordings: Sequence[Recording]) -> Observation:
+def observe_hits(recordings: Sequence[Recording], length: int | None = None) -> Observation:
     """One observation of the hits of one level: H1 over all, seen through an exponential window.
 
     Each contiguous span is a hit. The window brings the response down to a hundredth at the end of the record; what
@@ -302,7 +312,7 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     seconds the records begin before the blow as "lead".
     """
     first = recordings[0]
-    x, spectra, decay = hit_spectra(recordings)
+    x, spectra, decay = hit_spectra(recordings, length)
     n = x.shape[2]
     u, y = spectra[:, first.inputs[0]], spectra[:, list(first.outputs)]
     lead = float(np.median(np.argmax(np.abs(x[:, first.inputs[0]]), axis=1))) / first.rate
@@ -331,18 +341,47 @@ def observe_hits(recordings: Sequence[Recording]) -> Observation:
     )  # fmt: skip
 
 
-def hit_spectra(recordings: Sequence[Recording]) -> tuple[NDArray, NDArray, float]:
-    """Hits (n_hits, n_channels, n) without offsets, their spectra through an exponential window, its decay in 1/s."""
+def roving(groups: Sequence[Sequence[Recording]]) -> Observation:
+    """One observation of hits at several points, a group each, of the same responses: an input a point.
+
+    The inputs are called by their channel and point. Levels are not told apart, and with several inputs neither a
+    nonlinear law nor a drift is sought.
+    """
+    length = min(b - a for g in groups for r in g for a, b in r.spans())
+    every = [observe_hits(g, length) for g in groups]
+    common = reduce(np.intersect1d, [o.frf.frequency for o in every])
+    if common.size < 8:
+        raise EstimationError(f"{every[0].label}: hits at several points have only {common.size} lines in common")
+    frfs = [o.frf.at(np.isin(o.frf.frequency, common)) for o in every]
+    struck = tuple(replace(f.inputs[0], name=f"{f.inputs[0].name} {f.inputs[0].dof}") for f in frfs)
+    variance = np.concatenate([f.variance for f in frfs if f.variance is not None], axis=1)
+    raised = [np.ones(f.value.shape) if f.shared is None else f.shared for f in frfs]
+    frf = replace(
+        frfs[0], inputs=struck, value=np.concatenate([f.value for f in frfs], axis=1), variance=variance,
+        n_averages=min(f.n_averages for f in frfs), shared=np.concatenate(raised, axis=1),
+    )  # fmt: skip
+    clipped, peaks = rails_of([r for g in groups for r in g])
+    level = float(np.median([o.level for o in every]))
+    return Observation(frf, level, every[0].label, "hammer", clipped=clipped, peaks=peaks)
+
+
+def hit_spectra(recordings: Sequence[Recording], length: int | None = None) -> tuple[NDArray, NDArray, float]:
+    """Hits (n_hits, n_channels, n) without offsets, their spectra through an exponential window, its decay in 1/s.
+
+    n is the `length` that is given, or that of the shortest hit.
+    """
     first = recordings[0]
     pieces = [r.data[:, a:b] for r in recordings for a, b in r.spans()]
-    n = min(p.shape[1] for p in pieces)
+    n = min(p.shape[1] for p in pieces) if length is None else length
     x = np.stack([without_offset(p[:, :n], first.inputs[0]) for p in pieces])
     decay = np.log(100.0) * first.rate / n
     return x, np.fft.rfft(x * np.exp(-decay * np.arange(n) / first.rate), axis=2) / first.rate, float(decay)
 
 
 def observe_all(recordings: Sequence[Recording]) -> list[Observation]:
-    """Observations of several recordings: hits of one level together, every other recording on its own."""
+    """Observations of several recordings: hits of one level together, or all of a hammer that roves; every other
+    recording on its own.
+    """
     out: list[Observation] = []
     hits: list[tuple[int, Recording]] = []
     others: list[tuple[int, Recording]] = []
@@ -351,6 +390,12 @@ def observe_all(recordings: Sequence[Recording]) -> list[Observation]:
         (hits if hit else others).append((i, r if hit else longest_stretch(r)))
     leads = _leads([r for _, r in others])
     out += [replace(observe(r, lead), order=(i,)) for (i, r), lead in zip(others, leads, strict=True)]
+    points: dict[tuple[str, ...], list[Recording]] = {}
+    for _, r in hits:
+        points.setdefault(tuple(r.channels[i].dof for i in r.inputs), []).append(r)
+    sensors = {tuple((r.channels[i].name, r.channels[i].dof) for i in r.outputs) for _, r in hits}
+    if len(points) > 1 and len(sensors) == 1:
+        return [*out, roving(list(points.values()))]
     for group in _levels(hits):
         out.append(replace(observe_hits([r for _, r in group]), order=tuple(i for i, _ in group)))
     return out

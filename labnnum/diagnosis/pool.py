@@ -18,10 +18,13 @@ def pool(observations: Sequence[Observation]) -> Frf:
     A scatter between runs beyond their noise (remounts, level) is added to the variance.
     """
     first = observations[0].frf
-    names = [c.name for c in first.outputs]
+    channels = [(c.name, c.dof) for c in (*first.outputs, *first.inputs)]
     for o in observations[1:]:
-        if [c.name for c in o.frf.outputs] != names or len(o.frf.inputs) != len(first.inputs):
-            raise ChannelError(f"{o.label}: its channels differ from those of {observations[0].label}")
+        if [(c.name, c.dof) for c in (*o.frf.outputs, *o.frf.inputs)] != channels:
+            raise ChannelError(
+                f"{o.label}: its channels, or their places, differ from those of {observations[0].label}; expected one"
+                " set-up, or hits at several points with the same sensors"
+            )
     if len(observations) == 1:
         return first
     step = np.min(np.concatenate([np.diff(o.frf.frequency) for o in observations])) * 0.25
