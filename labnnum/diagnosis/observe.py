@@ -250,7 +250,7 @@ def _distortion(
 
 
 PULSE, PIECE = 100, 20
-"""Part of a record, and of one that was cut into pieces, that holds most of a blow's energy beyond noise."""
+"""Part of a record, and of one that was cut into pieces, that holds most of a blow's energy."""
 
 
 def is_hit(recording: Recording) -> bool:
@@ -281,10 +281,14 @@ def _is_pulse(x: NDArray, part: int) -> bool:
 
 def used(recording: Recording) -> NDArray[np.float64]:
     """Samples (n_channels, n) that may be used, one span after the other."""
+    return np.concatenate([recording.data[:, a:b] for a, b in _spans(recording)], axis=1)
+
+
+def _spans(recording: Recording) -> list[tuple[int, int]]:
     spans = list(recording.spans())
     if not spans:
         raise EstimationError(f"{recording.label}: all of it is excluded, expected samples that may be used")
-    return np.concatenate([recording.data[:, a:b] for a, b in spans], axis=1)
+    return spans
 
 
 def longest_stretch(recording: Recording) -> Recording:
@@ -293,8 +297,7 @@ def longest_stretch(recording: Recording) -> Recording:
     """
     if recording.period:
         return recording
-    used(recording)
-    start, stop = max(recording.spans(), key=lambda span: span[1] - span[0])
+    start, stop = max(_spans(recording), key=lambda span: span[1] - span[0])
     if (start, stop) == (0, recording.n_samples):
         return recording
     over = ((c, max(a, start) - start, min(b, stop) - start) for c, a, b in recording.overloads)
