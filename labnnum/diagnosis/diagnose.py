@@ -101,6 +101,7 @@ def diagnose(
         scatter = by_hand(scatter)
     inner, initial = _taken_apart(structure, train)
     engine = Engine(inner, train.outputs, train.inputs, band)
+    engine.couple()
     where = places_of(engine, places)
     if nonlinear and not initial and moving is None:  # a change within the run stands on quiet lines as well
         from labnnum.diagnosis.nonlinear.first import nonlinear_first

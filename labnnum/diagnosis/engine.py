@@ -19,6 +19,7 @@ from labnnum.diagnosis import sums
 from labnnum.diagnosis.affine import affine
 from labnnum.diagnosis.attached import Attached
 from labnnum.diagnosis.changed import Changed, changed, eigen
+from labnnum.diagnosis.coupling import Coupling
 from labnnum.diagnosis.evaluation import Evaluation
 from labnnum.diagnosis.irregular import Irregular
 from labnnum.diagnosis.mesh import FINE, Inside
@@ -103,6 +104,7 @@ class Engine:
         self.high_zeta = self._damping_above()
         self._sizes(first)
         self.finer: bool | None = None
+        self.coupling: Coupling | None = None
 
     def _load_of_supports(self, mass: NDArray) -> NDArray[np.float64]:
         """Mass (n,) by which base motion loads the coordinates besides what they carry along: that of supports that
@@ -379,6 +381,11 @@ class Engine:
         omega = first.omega[b] * (1 + self.mesh_shift)
         w = self.in_basis(first)[:, b]
         return np.einsum("em,egm,gm->m", w, self.inside_taken(1j * omega), w).real / omega**4
+
+    def couple(self) -> None:
+        """Let modes act on each other by the damping that the model gives them, from here on."""
+        self.coupling = Coupling.of(self)
+        self._evaluated = self._share = None
 
     # ---------------------------------------------------------------- responses
 

@@ -28,6 +28,7 @@ class Evaluation:
 
     def __init__(self, engine: Engine, point: Point, terms: Sequence[Term], s: NDArray) -> None:
         self.e, self.point, self.s = engine, point, s
+        terms = terms if engine.coupling is None else (engine.coupling.term, *terms)
         slices = _slices(terms)
         self.acting = [(t, c) for t, c in zip(terms, slices, strict=True) if t.groups]
         self.others = [(t, c) for t, c in zip(terms, slices, strict=True) if not t.groups]
@@ -48,6 +49,10 @@ class Evaluation:
         self.d = sums.receptances(self.omega, self.zeta, float(point.law[0]), cords, e.rigid_modes, self.s)
         self.load = st.load.copy()
         self.load[e.band_modes] += (point.size * e.load_typical)[:, None]
+        self.modes, self.shared = np.zeros(0, int), None
+        if e.coupling is not None:
+            self.modes = e.coupling.modes
+            self.shared = e.coupling.at(e, st, self.change, self.omega, self.zeta)
 
     def _points(self) -> None:
         """Attachment motions of all acting terms."""
@@ -60,6 +65,10 @@ class Evaluation:
         self.g = np.zeros((len(self.w), len(self.w), s.size), complex)
         for t, c, first, last in self._acting_columns():
             self.g[first:last, first:last] = t.stiffness(s, self.point.terms[c], self.change)
+        if self.shared is not None:
+            k = len(self.shared.damping)
+            self.g[:k, :k] = self.shared.damping[..., None] * s
+            self.w[:k] = np.eye(st.omega.size)[self.modes]
         if self.there.carrying.any():
             self.rises = np.where(self.there.carrying[:, None], s**2, 1.0)
             self.out_carried = st.sensors @ self.there.static  # (o, k)
@@ -402,7 +411,9 @@ class Evaluation:
         force, back = self._through
         pulled = np.ascontiguousarray(np.swapaxes(z_out, 0, 1))
         k = len(self.w)
-        turned = (self.w @ st.mix[:n]).reshape(n * k, -1)  # derivatives of the terms' motions
+        turned = self.w @ st.mix[:n]  # derivatives of the terms' motions
+        turned[:, : self.modes.size] = 0.0  # modes are themselves
+        turned = turned.reshape(n * k, -1)
         if turned.any():
             follow, moved = sums.turned(turned, p_out), sums.turned(turned, q)
             for j, slot in enumerate(slots):
@@ -415,6 +426,34 @@ class Evaluation:
                 if slope is not None:
                     own = np.ascontiguousarray(pulled[:, first:last])
                     jac[j] -= sums.across(own, sums.across(slope, z_in[first:last]))
+        if self.shared is not None:
+            for j, slot in enumerate(slots):
+                jac[slot] -= self._passed(self.shared.slopes[j], z_in, pulled)
+                more = st.d_log[j, self.modes] - self.shared.own_rates[j]
+                jac[slot] += np.tensordot(more, self._eased, 1)
+
+    def _passed(self, damping: NDArray, z_in: NDArray, pulled: NDArray) -> NDArray:
+        """What damping (k, k) between coupled modes takes off the displacements, (o, i, f)."""
+        k = self.modes.size
+        force = sums.across(damping[..., None] * self.s, np.ascontiguousarray(z_in[:k]))
+        return sums.across(np.ascontiguousarray(pulled[:, :k]), force)
+
+    @cached_property
+    def _eased(self) -> NDArray:
+        """Derivatives of the displacements by the logarithm of each coupled mode's own damping, as far as what it
+        shares with the others follows that, (k, o, i, f).
+        """
+        assert self.shared is not None
+        _, _, _, z_in, z_out = self._coupled
+        assert z_in is not None
+        assert z_out is not None
+        k = self.modes.size
+        out = np.zeros((k, len(self.e.outputs), len(self.e.inputs), self.s.size), complex)
+        pulled = np.ascontiguousarray(np.swapaxes(z_out, 0, 1))
+        for j in range(k):
+            half = 0.5 * self.shared.damping * ((np.arange(k) == j)[:, None] + (np.arange(k) == j))
+            out[j] = -self._passed(half, z_in, pulled)
+        return out
 
     @cached_property
     def _through(self) -> tuple[NDArray, NDArray]:
@@ -455,6 +494,8 @@ class Evaluation:
         sums.weighed(swing, q, p_out, out[3 * m_b])
         out[3 * m_b] *= -1.0
         left, right = self._shares
+        if self.shared is not None:
+            self._eased_slopes(out)
         viscous, firm = (self._felt((left * part) @ right.T) for part in e.high_losses)
         out[m_b : 2 * m_b] -= (viscous * self._losses[0] + firm * self._losses[1]) / m_b
         out[3 * m_b] += 2.0 * e.followed(self.point.log_zeta) * (self.s * viscous - 1j * firm)
@@ -462,6 +503,17 @@ class Evaluation:
             n = e.rigid_modes
             lost = np.broadcast_to(-e.elastic * self.s, (n, self.s.size)).copy()
             sums.weighed(lost, q[:n], p_out[:n], out[-1])
+
+    def _eased_slopes(self, out: NDArray) -> None:
+        """Into out (n, o, i, f): what modes share follows their frequencies and damping."""
+        m_b, place = self.e.band_modes.size, {int(r): i for i, r in enumerate(self.e.band_modes)}
+        for r, one in zip(self.modes, self._eased, strict=True):
+            i = place.get(int(r))
+            if i is not None:
+                out[i] += one / (1 + self.point.shift[i])
+                out[m_b + i] += one
+            elif self.zeta[r] < 0.95:
+                out[m_b : 2 * m_b] += one / m_b
 
 
 def _slices(terms: Sequence[Term]) -> list[slice]:

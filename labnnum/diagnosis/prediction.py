@@ -72,6 +72,8 @@ def predicted(engine: Engine, made: Fit, frf: Frf) -> NDArray[np.complex128]:
     if [c.name for c in frf.inputs] != [c.name for c in engine.inputs] or len(frf.outputs) != len(engine.outputs):
         other = Engine(engine.structure, frf.outputs, frf.inputs, engine.band)
         other.refine(engine.finer)
+        if engine.coupling is not None:
+            other.couple()
         terms, values = _carried_over(engine, other, made)
         point = replace(point, terms=values, size=np.zeros_like(point.size))
         return other.response(point, terms, s).value

@@ -272,6 +272,7 @@ def widened(engine: Engine, added: Sequence[Added]) -> Engine | None:
         return None
     n = min(wider.zeta0.size, engine.zeta0.size)
     wider.zeta0[:n] = engine.zeta0[:n]  # what moves in a support has no damping of its own, and modes no less
+    wider.couple()
     return wider
 
 

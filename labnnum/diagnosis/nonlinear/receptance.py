@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.diagnosis.coupling import Coupled
 from labnnum.diagnosis.engine import Engine, Point
+from labnnum.diagnosis.nonlinear.between import Among, Between
 from labnnum.diagnosis.nonlinear.kernels import combined, modal
 from labnnum.diagnosis.remainder import Soft
 from labnnum.frf import MOTION_ORDER
@@ -55,6 +57,8 @@ class Receptance:
     lines: NDArray
     reach: float
     """Modes up to this many times the highest excited line are marched; the others follow at once."""
+    shared: Coupled | None = None
+    """Damping between the modes, where the model couples them."""
     marches: dict[float, Any] = field(default_factory=dict)
     """What was prepared to march it, by the length of the step."""
 
@@ -213,12 +217,20 @@ class Base:
             h = h + self._remainder(self.high_out, high_w, s, soft)
             z = z + self._remainder(high_w, self.high_load, self.s, soft)[:, 0]
             g = g + self._remainder(high_w, high_w, self.s, soft)
+        shared = None
+        if e.coupling is not None:
+            modes, shared = e.coupling.modes, e.coupling.at(e, st, theta - e.theta0, omega, zeta)
+            driven = Between.of(modes, shared, here, s, np.hstack([load[:, None], w.T]))
+            more = driven.added(out)
+            plain, h = plain + more[:, 0], h + more[:, 1:]
+            more = Between.of(modes, shared, d, self.s, np.hstack([load[:, None], w.T])).added(w.T)
+            z, g = z + more[:, 0], g + more[:, 1:]
         if e.is_base:
             plain = plain + np.where(self.some, self.rigid_out[:, None] / self.safe**2, 0.0)[:, self.lines]
         rest = soft[0].between(high_w, high_w)
         reach = IDENTIFIED if isinstance(e.structure, ModalStructure) else JUMPING if self.jumps else MARCHED
         return Receptance(
-            self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines, reach
+            self.s, plain, h, z, g, self.lift, self.gain, omega, zeta, w, rest, d, out, load, self.lines, reach, shared
         )  # fmt: skip
 
     # ---------------------------------------------------------------- derivatives
@@ -361,4 +373,53 @@ class Base:
                 each = each + self._remainder(high_w, self.high_w[[a]], s, soft)[:, 0]
             dg[row, a] += each
             dg[row, :, a] += each
+        if r.shared is not None:
+            by_share = -square * (2 * own * zeta * (1j * own - s))
+            by_share[rigid] = 0.0
+            self._between(x, r, (d, s), (by_omega, by_zeta, by_share), wanted, (dp, dh, dz, dg))
         return dp, dh, dz, dg
+
+    def _between(
+        self, x: NDArray, r: Receptance, at: tuple[NDArray, NDArray], rates: tuple[NDArray, NDArray, NDArray],
+        wanted: tuple[bool, bool], slopes: tuple[NDArray, NDArray, NDArray, NDArray],
+    ) -> None:  # fmt: skip
+        """Add to the derivatives `slopes` those of what modes share by damping, `at` modal receptances and lines, with
+        derivatives `rates` of the former by frequency, by the logarithm of damping and by the hysteretic share.
+        """
+        e, b, k = self.engine, self.engine.band_modes, self.k
+        assert e.coupling is not None
+        assert r.shared is not None
+        theta, shift, _, _, _, hung, motion = np.split(x, self.cuts)
+        st, modes, (by_omega, by_zeta, by_share) = e.state(theta), e.coupling.modes, rates
+        n_t, m_b, m = theta.size, b.size, r.omega.size
+        last = n_t + 3 * m_b + 1 + hung.size
+        grown = 1.0 + motion.reshape(k, m_b + 1)[:, -1]
+        kinds = [i for i, w in enumerate((wanted[0], wanted[0], wanted[1], wanted[1])) if w]
+        pairs = tuple(((0, 1), (0, 2), (2, 1), (2, 2))[i] for i in kinds)
+        among = Among.of(modes, r.shared, *at, (r.out, r.load[:, None], np.ascontiguousarray(r.w.T)), pairs)
+
+        def put(row: int, **change: Any) -> None:
+            for i, one in zip(kinds, among.slopes(**change), strict=True):
+                slopes[i][row] += one[:, 0] if i in (0, 2) else one
+
+        for j in range(n_t):
+            moved = (self.columns.T @ st.shape) @ st.mix[j]
+            moved[:, self.above] *= grown[:, None]
+            less = among.one.eased(st.d_log[j, modes] - r.shared.own_rates[j])
+            dd = by_omega * (st.d_log[j] * r.omega)[:, None]
+            put(j, moved=(st.d_out[j], st.d_load[j], moved.T), dd=dd, damping=r.shared.slopes[j] + less)
+        for i, mode in enumerate(b):
+            only = (np.arange(m) == mode).astype(float)
+            over = 1.0 / (1.0 + shift[i])
+            put(n_t + i, dd=by_omega * (only * r.omega * over)[:, None], damping=among.one.eased(only[modes] * over))
+            put(n_t + m_b + i, dd=by_zeta * only[:, None], damping=among.one.eased(only[modes]))
+            put(n_t + 2 * m_b + i, moved=(None, (only * e.load_typical[i])[:, None], None))
+            for a in range(k):
+                here = np.outer(only * self.w_typical[a, i], np.arange(k) == a)
+                put(last + a * (m_b + 1) + i, moved=(None, None, here))
+        if not self.decay:
+            put(n_t + 3 * m_b, dd=by_share)
+        for a in range(k):
+            here = np.zeros((m, k))
+            here[self.above, a] = r.w[a, self.above] / grown[a]
+            put(last + a * (m_b + 1) + m_b, moved=(None, None, here))
