@@ -16,6 +16,7 @@ from labnnum.errors import FileError, InputError
 from labnnum.frf import Frf
 from labnnum.mechanisms import ExtendedStructure
 from labnnum.recording import Recording
+from labnnum.structures.base import Structure
 from sessions.exchange import read_any
 from sessions.limits import read_limits
 from sessions.model import Model, read_model, write_model
@@ -143,10 +144,22 @@ def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
     if tables["structure"].get("kind") == "modal":
         own = [{**m, "damping_ratio": z} for m, z in zip(tables["structure"]["mode"], ratios, strict=False)]
         tables["structure"] = {**tables["structure"], "mode": own}
-    else:
+    elif not _has_dashpots(model.structure):
         tables["damping"] = {"kind": "modal", "ratio": ratios}
     damped = replace(model, raw=tables)
     write_updated(path, damped, d.detail["final"].point.theta, [*_entries(d, path.parent), *_kept_laws(d, model)])
+
+
+def _has_dashpots(structure: Structure) -> bool:
+    """Whether a structure has damping besides its [damping] of all of it: dashpots at places, or a matrix."""
+    inner = structure.inner if isinstance(structure, ExtendedStructure) else structure
+    damping = getattr(inner, "damping", None)
+    if damping is None:
+        return False
+    if damping.kind == "matrix":
+        return True
+    m = replace(inner, damping=type(damping)()).matrices(inner.nominal)  # ty: ignore[invalid-argument-type]
+    return bool(np.any(m.C))
 
 
 def write_updated(path: Path, model: Model, theta: np.ndarray, entries: Sequence[Mapping[str, Any]]) -> None:
@@ -219,8 +232,27 @@ def _entries(d: Diagnosis, folder: Path) -> list[dict[str, Any]]:
     engine, made = d.detail["engine"], d.detail["final"]
     shift = np.zeros(int(engine.band_modes.max()) + 1)
     shift[engine.band_modes] = made.point.shift
-    if np.any(np.abs(shift) > 1e-6):
-        out.append({"id": "modal-trim", "shift": [float(f"{v:.5g}") for v in shift]})
+    factors = _losses(d) if _has_dashpots(engine.structure) else np.ones(0)
+    trim = {"shift": shift} if np.any(np.abs(shift) > 1e-6) else {}
+    trim |= {"damping": factors} if np.any(np.abs(factors - 1.0) > 1e-6) else {}
+    if trim:
+        out.append({"id": "modal-trim", **{k: [float(f"{v:.5g}") for v in values] for k, values in trim.items()}})
+    return out
+
+
+def _losses(d: Diagnosis) -> np.ndarray:
+    """Factor by which each mode damps more than the structure says at the fitted parameters."""
+    engine, theta = d.detail["engine"], d.detail["final"].point.theta
+    state, m = engine.state(theta), engine.structure.matrices(theta)
+    own = np.einsum("nm,nk,km->m", state.shape, np.real(m.C), state.shape)
+    own = own + np.einsum("nm,nk,km->m", state.shape, np.real(m.D), state.shape) / np.maximum(state.omega, 1e-300)
+    omega = state.omega.copy()
+    omega[engine.band_modes] *= 1 + d.detail["final"].point.shift
+    wanted = 2 * _ratios(d)[: omega.size] * omega
+    free = np.setdiff1d(engine.band_modes, np.arange(engine.rigid_modes))
+    fitted = free[own[free] > 1e-12 * own.max()]
+    out = np.ones(int(engine.band_modes.max()) + 1)
+    out[fitted] = wanted[fitted] / own[fitted]
     return out
 
 

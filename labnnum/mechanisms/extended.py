@@ -38,7 +38,8 @@ class ExtendedStructure(Structure):
 
     Coordinates are the inner ones, then one for each internal motion of a mechanism. `trim` shifts the natural
     frequencies by relative amounts, mode by mode about the nominal modes: those of the inner structure with what the
-    diagnosis takes for a part of it (supports that were let go, what acts everywhere). `laws` are nonlinear:
+    diagnosis takes for a part of it (supports that were let go, what acts everywhere). By `losses` times as much as the
+    inner structure says these modes damp, and what two of them share follows: dashpots at places. `laws` are nonlinear:
     they act in time simulation (`law_elements`) and as nothing in anything linear, so their parameters are not updated.
     Nor are those of `common`, what the recorder does to all channels alike: it is in each channel's `chain` and cancels
     in every FRF.
@@ -50,6 +51,7 @@ class ExtendedStructure(Structure):
     outputs: tuple[str, ...] = field(default=())
     laws: tuple[Added, ...] = ()
     common: tuple[Added, ...] = ()
+    losses: tuple[float, ...] = ()
 
     @cached_property
     def _own(self) -> tuple[Parameter, ...]:
@@ -96,12 +98,12 @@ class ExtendedStructure(Structure):
         return tuple(e for several in made for e in several)
 
     @cached_property
-    def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray]:
-        """Frequencies, M times shapes, and the coordinates that they are over: of what `trim` shifts."""
+    def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Frequencies, shapes, M times these, and the coordinates that they are over: of what `trim` shifts."""
         from scipy.linalg import eigh
 
         own = [a for a in self.added if a.term.whole is not None or a.term.fitted is not a.term]
-        core = replace(self, added=tuple(own), trim=(), laws=(), common=())
+        core = replace(self, added=tuple(own), trim=(), laws=(), common=(), losses=())
         m = core.matrices(core.nominal)
         value, shape = eigh(np.real(m.K), np.real(m.M))
         index = list(range(len(self.inner.matrices(self.inner.nominal).M)))
@@ -110,7 +112,7 @@ class ExtendedStructure(Structure):
             if added in own:
                 index += range(at, at + n)
             at += n
-        return np.sqrt(np.maximum(value, 0)), np.real(m.M) @ shape, np.array(index)
+        return np.sqrt(np.maximum(value, 0)), shape, np.real(m.M) @ shape, np.array(index)
 
     def matrices(self, theta: NDArray) -> Matrices:
         """The inner matrices with every mechanism's share, internal coordinates appended."""
@@ -136,6 +138,8 @@ class ExtendedStructure(Structure):
                 self._tie(blocks, base, (a, at), (b, to))
         if any(self.trim):
             self._trimmed(blocks)
+        if any(v != 1.0 for v in self.losses):
+            self._damped(blocks, base)
         return Matrices(*blocks)
 
     def _tie(self, blocks: list[NDArray], base: Matrices, a: tuple[Group, int], b: tuple[Group, int]) -> None:
@@ -155,10 +159,17 @@ class ExtendedStructure(Structure):
         return self.inner.matrices(self.inner.nominal).M
 
     def _trimmed(self, blocks: list[NDArray]) -> None:
-        omega, loads, index = self._nominal_modes
+        omega, _, loads, index = self._nominal_modes
         n = len(self.trim)
         change = omega[:n] ** 2 * ((1 + np.array(self.trim)) ** 2 - 1)
         blocks[2][np.ix_(index, index)] += (loads[:, :n] * change) @ loads[:, :n].T
+
+    def _damped(self, blocks: list[NDArray], base: Matrices) -> None:
+        _, shape, loads, index = self._nominal_modes
+        n, root = len(base.M), np.sqrt(np.pad(self.losses, (0, shape.shape[1] - len(self.losses)), constant_values=1.0))
+        more = np.outer(root, root) - 1.0
+        for block, loss in ((blocks[1], base.C), (blocks[3], base.D)):
+            block[np.ix_(index, index)] += loads @ (more * (shape[:n].T @ loss @ shape[:n])) @ loads.T
 
     def _extra_mode(self, blocks: list[NDArray], p: NDArray) -> list[NDArray]:
         w = 2 * np.pi * p[0]
@@ -318,7 +329,8 @@ def extend(
 
     Each entry has `id`, `place` (kind, id, to), `variant` where the mechanism has several, and `parameters`, name ->
     value or {value, std}; ids are those of `catalogue`, by default labnnum's. The id "modal-trim" holds `shift`,
-    relative changes of the natural frequencies by mode.
+    relative changes of the natural frequencies by mode, and may hold `damping`, by which factor each mode damps more
+    than the structure says.
 
     Raises
     ------
@@ -328,12 +340,18 @@ def extend(
     from labnnum.mechanisms import CATALOGUE
 
     trim: tuple[float, ...] = ()
+    losses: tuple[float, ...] = ()
     known = {m.id: m for m in catalogue or CATALOGUE}
     added, laws, common = [], [], []
     for entry in entries:
         name = str(entry.get("id", ""))
         if name == "modal-trim":
             trim = tuple(float(v) for v in entry.get("shift", ()))
+            losses = tuple(float(v) for v in entry.get("damping", ()))
+            if min(losses, default=1.0) < 0:
+                raise ConfigError(
+                    f"mechanism.damping of modal-trim: {min(losses):g}; factors of 0 or more were expected"
+                )
             continue
         if name not in known:
             raise ConfigError(f"mechanism.id: {name!r} is not in the catalogue: {', '.join(known)}")
@@ -341,7 +359,7 @@ def extend(
         shared = isinstance(mechanism, ChannelMechanism) and mechanism.common
         where = laws if isinstance(mechanism, NonlinearMechanism) else common if shared else added
         where.append(_added(structure, mechanism, entry))
-    return ExtendedStructure(structure, tuple(added), trim, laws=tuple(laws), common=tuple(common))
+    return ExtendedStructure(structure, tuple(added), trim, laws=tuple(laws), common=tuple(common), losses=losses)
 
 
 def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any]) -> Added:

@@ -15,6 +15,8 @@ from labnnum.parameters import Parameter
 from labnnum.recording import Channel
 from labnnum.structures import Chain
 from labnnum.structures.chain import Link
+from sessions.diagnose import run_observed, write_extended
+from sessions.model import read_model
 
 OUTPUTS = tuple(Channel(f"a{n}", "acceleration", "response", node=n, direction="x") for n in ("1", "3", "5"))
 FORCE = (Channel("force", "force", "reference", node="2", direction="x"),)
@@ -172,13 +174,48 @@ def test_damping_that_follows_the_stiffness_couples_nothing():
 
 
 def test_a_dashpot_that_the_model_has_is_no_missing_physics():
-    structure, frequency = chain(*HEAVY), np.linspace(5.0, 110.0, 400)
-    value = exact(structure, 2 * np.pi * frequency)
-    sigma = 1e-3 * np.sqrt(np.mean(np.abs(value) ** 2, axis=1, keepdims=True)) * np.ones(value.shape)
-    rng = np.random.default_rng(8)
-    noise = rng.standard_normal((2, *value.shape)) / np.sqrt(2)
-    value = value + sigma * (noise[0] + 1j * noise[1])
-    frf = Frf(frequency, value[:, None], OUTPUTS, FORCE, None, (sigma**2)[:, None], 8.0, "H1")
-    answer = diagnose(structure, [observe_frf(frf)])
+    structure = chain(*HEAVY)
+    answer = diagnose(structure, [measured(structure)])
     assert answer.verdict in ("consistent", "parameters")
     assert answer.base_error[1] < 3e-3
+
+
+def measured(structure, theta=None):
+    """An FRF of the structure in noise of a thousandth, as an observation."""
+    frequency = np.linspace(5.0, 110.0, 400)
+    value = exact(structure, 2 * np.pi * frequency, theta=theta)
+    sigma = 1e-3 * np.sqrt(np.mean(np.abs(value) ** 2, axis=1, keepdims=True)) * np.ones(value.shape)
+    noise = np.random.default_rng(8).standard_normal((2, *value.shape)) / np.sqrt(2)
+    value = value + sigma * (noise[0] + 1j * noise[1])
+    return observe_frf(Frf(frequency, value[:, None], OUTPUTS, FORCE, None, (sigma**2)[:, None], 8.0, "H1"))
+
+
+MASS = """
+[[structure.mass]]
+node = "{}"
+mass = {}
+"""
+LINK = """
+[[structure.link]]
+between = ["{}", "{}"]
+stiffness = "k"
+damping = {}
+"""
+
+
+def test_the_extended_model_damps_as_was_measured_and_by_its_dashpots_once(tmp_path):
+    structure = chain(*HEAVY)
+    text = '[structure]\nkind = "chain"\ndirection = "x"\n' + "".join(MASS.format(*m) for m in structure.masses.items())
+    text += "".join(LINK.format(x.a, x.b, x.damping) for x in structure.links)
+    text += '\n[[parameter]]\nname = "k"\nunit = "N/m"\nnominal = 3e5\nlower = 2e5\nupper = 4e5\n'
+    (tmp_path / "model.toml").write_text(text)
+    model = read_model(tmp_path / "model.toml")
+    truth = chain(*(1.5 * c for c in HEAVY))
+    answer = run_observed([measured(truth)], model)
+    assert answer.verdict in ("consistent", "parameters")
+    write_extended(tmp_path / "extended.toml", model, answer)
+    made = read_model(tmp_path / "extended.toml").structure
+    loss, wanted = made.matrices(made.nominal).C, truth.matrices(truth.nominal).C
+    assert np.linalg.norm(loss - wanted) < 0.01 * np.linalg.norm(wanted)
+    again = run_observed([measured(truth)], read_model(tmp_path / "extended.toml"))
+    assert again.verdict == "consistent"

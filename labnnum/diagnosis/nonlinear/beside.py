@@ -272,7 +272,8 @@ def widened(engine: Engine, added: Sequence[Added]) -> Engine | None:
         return None
     n = min(wider.zeta0.size, engine.zeta0.size)
     wider.zeta0[:n] = engine.zeta0[:n]  # what moves in a support has no damping of its own, and modes no less
-    wider.couple()
+    if engine.coupling is not None:
+        wider.couple()
     return wider
 
 
