@@ -144,19 +144,19 @@ def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
     if tables["structure"].get("kind") == "modal":
         own = [{**m, "damping_ratio": z} for m, z in zip(tables["structure"]["mode"], ratios, strict=False)]
         tables["structure"] = {**tables["structure"], "mode": own}
-    elif not _has_dashpots(model.structure):
+    elif not _keeps_damping(model.structure):
         tables["damping"] = {"kind": "modal", "ratio": ratios}
     damped = replace(model, raw=tables)
     write_updated(path, damped, d.detail["final"].point.theta, [*_entries(d, path.parent), *_kept_laws(d, model)])
 
 
-def _has_dashpots(structure: Structure) -> bool:
-    """Whether a structure has damping besides its [damping] of all of it: dashpots at places, or a matrix."""
+def _keeps_damping(structure: Structure) -> bool:
+    """Whether damping is more than ratios of modes: dashpots at places, a matrix, or parameters of its own."""
     inner = structure.inner if isinstance(structure, ExtendedStructure) else structure
     damping = getattr(inner, "damping", None)
     if damping is None:
         return False
-    if damping.kind == "matrix":
+    if damping.kind == "matrix" or any(isinstance(q, str) for q in damping.quantities):
         return True
     m = replace(inner, damping=type(damping)()).matrices(inner.nominal)  # ty: ignore[invalid-argument-type]
     return bool(np.any(m.C))
@@ -232,7 +232,7 @@ def _entries(d: Diagnosis, folder: Path) -> list[dict[str, Any]]:
     engine, made = d.detail["engine"], d.detail["final"]
     shift = np.zeros(int(engine.band_modes.max()) + 1)
     shift[engine.band_modes] = made.point.shift
-    factors = _losses(d) if _has_dashpots(engine.structure) else np.ones(0)
+    factors = _losses(d) if _keeps_damping(engine.structure) else np.ones(0)
     trim = {"shift": shift} if np.any(np.abs(shift) > 1e-6) else {}
     trim |= {"damping": factors} if np.any(np.abs(factors - 1.0) > 1e-6) else {}
     if trim:

@@ -25,3 +25,5 @@ def test_a_sound_structure_on_a_simulated_bench_is_sound(tmp_path, rig, structur
     told = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     assert told["verdict"] in ("consistent", "parameters")
     assert told["fit"]["base"]["held_out"] < within
+    said("diagnose", run, "--model", tmp_path / "out" / "extended.toml", "-o", tmp_path / "again")  # a model like any
+    assert json.loads((tmp_path / "again" / "diagnosis.json").read_text(encoding="utf-8"))["verdict"] == "consistent"
