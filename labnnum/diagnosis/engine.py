@@ -46,6 +46,12 @@ ABOVE = 2
 symmetry, a share of what they contribute to it says nothing."""
 
 
+def _massless(mass: NDArray) -> bool:
+    """Whether some motion has no mass but what rounding leaves of it, such as that of a massless support let go."""
+    size = np.sqrt(np.maximum(np.diag(mass), 1e-300))
+    return float(np.diag(np.linalg.cholesky(mass / np.outer(size, size))).min()) < 1e-7
+
+
 class Engine:
     """Responses of `structure` at `outputs` to `inputs` up to `omega_max`, with any terms added."""
 
@@ -134,6 +140,8 @@ class Engine:
         n = mass.shape[0]
         try:
             value, vector = eigh(stiffness, mass)
+            if _massless(mass):
+                raise LinAlgError
         except LinAlgError:
             raise ModelError("the model's mass matrix is not positive definite at the nominal parameters") from None
         if value.min() < -1e-6 * value.max():

@@ -10,11 +10,12 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.run import run_of
 from labnnum.diagnosis.prediction import NODAL, relative_error
 from labnnum.diagnosis.search import _inverse_root
+from labnnum.errors import ModelError
 from labnnum.frf import Frf
 from labnnum.mechanisms.local_law import GeneralLaw
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel
-from labnnum.structures import Beam
+from labnnum.structures import Beam, MatrixStructure
 from labnnum.structures.quantities import modal
 from labnnum.structures.section import Section
 
@@ -135,3 +136,17 @@ def test_modes_keep_their_sign_where_both_ends_move_alike():
     for change in (1e-12, 1e-9, -1e-9, 1e-7, -1e-6, 1e-5, -1e-4, 3e-3, -3e-3, 0.05, -0.05):
         shape = made.state(np.array([7e10 * (1 + change)])).shape[:, made.band_modes]
         assert np.all(np.sum(shape * (mass @ nominal[:, made.band_modes]), axis=0) > 0.9)
+
+
+def test_a_motion_without_mass_is_refused_whatever_rounding_leaves_of_it():
+    """Masses on a base that is free to move too and has none of its own: M of the relative motions and the base."""
+    own = np.array([0.70235099, 0.74959222, 0.47347135, 0.52120171, 0.59816564, 0.4719037])
+    for more in (0.0, 2e-16, 4e-16):  # which of these a factorisation takes for positive depends on rounding
+        mass = np.block([[np.diag(own), own[:, None]], [own[None], np.array([[own.sum() + more]])]])
+        stiffness = 100.0 * np.eye(7)
+        channels = [Channel(f"a{i}", "acceleration", "response", node=str(i), direction="x") for i in (1, 2)]
+        force = Channel("f", "force", "reference", node="1", direction="x")
+        dofs = tuple(f"{i}:x" for i in range(1, 8))
+        structure = MatrixStructure(mass, stiffness, dofs)
+        with pytest.raises(ModelError, match="mass matrix is not positive definite"):
+            Engine(structure, channels, (force,), (1.0, 30.0))

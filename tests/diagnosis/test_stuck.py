@@ -1,6 +1,7 @@
 """Laws stiffer than the structure: their steady states close, and the search finds the structure that they hold."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,13 +20,14 @@ from labnnum.diagnosis.nonlinear.problem import Acting, _fine
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
-from labnnum.diagnosis.nonlinear.stuck import beside_spring, own_stiffness, quiet_data, springs_along, stuck
+from labnnum.diagnosis.nonlinear.stuck import beside_spring, own_stiffness, quiet_data, springs_along, sticking, stuck
 from labnnum.diagnosis.nonlinear.study import yielding_kin
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.mechanisms.base import Group, Place, Term
 from labnnum.mechanisms.joint_stiffness import JointStiffness
 from labnnum.mechanisms.laws import Spring
 from labnnum.nonlinear import Element
+from labnnum.parameters import Parameter
 from tests.diagnosis.test_nonlinear import (
     FORCE,
     OUTPUTS,
@@ -221,3 +223,13 @@ def test_a_whole_element_is_a_spring_along_the_turn_of_its_ends_alone():
     assert unit == pytest.approx(stiff / length)
     hinge = replace(term, groups=(replace(group, columns=np.pad(3.0 * slope, (2, 1))[:, None]),))
     assert springs_along(hinge, [lift, turn]) == [(turn, pytest.approx(9.0))]
+
+
+def test_what_changes_the_whole_structure_is_no_spring_that_slips():
+    """An axial preload has one parameter, and acts along no motion of a place."""
+    whole = Term(
+        JointStiffness(), Place("global", "structure"), (Parameter("tension", 1.0, 0.0, 2.0),), np.ones((1, 1))
+    )
+    calm = SimpleNamespace(runs=[SimpleNamespace(level=1.0)])
+    bench = SimpleNamespace(on=lambda rung: calm)
+    assert sticking(bench, np.zeros(3), [], [whole], np.array([1.5])) == []  # ty: ignore[invalid-argument-type]

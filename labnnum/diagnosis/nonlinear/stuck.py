@@ -119,7 +119,8 @@ def sticking(
     for term in held:
         own = values[at : at + term.n]
         at += term.n
-        if own.size != 1 or own[0] <= 0 or not isinstance(term.sought.groups[0].law, Spring):
+        groups = term.sought.groups  # none, where it changes the whole structure
+        if own.size != 1 or own[0] <= 0 or not groups or not isinstance(groups[0].law, Spring):
             continue
         for spot, unit in springs_along(term, every):
             q = recover(bench.joint([]), x, bench.point, spot)
