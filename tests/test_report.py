@@ -13,6 +13,7 @@ from labnnum.parameters import Estimate, Parameter
 from labnnum.recording import Channel
 from sessions.estimates import StoredEstimate, store_estimate
 from sessions.report.content import gather
+from sessions.report.diagnosis import _in_stretches
 from sessions.report.page import render, verdict, write_report
 from sessions.report.sections import SECTIONS, Section
 from sessions.store import create_session, open_session
@@ -132,3 +133,10 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
     session = make_session(tmp_path / "s.h5")
     with pytest.raises(FileError, match="choose another place"):
         write_report(session, tmp_path / "nowhere" / "r.html")
+
+
+def test_no_curve_is_drawn_over_lines_that_were_not_held_out():
+    frequency = np.array([1.0, 2.0, 3.0, 10.0, 11.0, 12.0])
+    x, y = _in_stretches(frequency, 2.0 * frequency)
+    np.testing.assert_array_equal(np.isnan(x), [0, 0, 0, 1, 0, 0, 0])
+    np.testing.assert_array_equal(y, 2.0 * x)

@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from labnnum import __version__
 from labnnum.diagnosis import Diagnosis
@@ -153,6 +154,17 @@ def fit_section(d: Diagnosis) -> Section:
     return Section("fit", "Before and after", body)
 
 
+APART = 4.0
+"""Steps between lines, in usual ones, over which no curve is drawn: nothing was held out there."""
+
+
+def _in_stretches(frequency: NDArray, value: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A curve (n,) over its lines with gaps where lines are far apart."""
+    step = np.diff(frequency)
+    ends = np.flatnonzero(step > APART * np.median(step)) + 1 if step.size else np.zeros(0, int)
+    return np.insert(frequency, ends, np.nan), np.insert(value, ends, np.nan)
+
+
 def response_figure(d: Diagnosis, o: int) -> str:
     """SVG: magnitude and residuals of one response over the first input."""
     engine, test = d.detail["engine"], d.detail["test"]
@@ -162,15 +174,19 @@ def response_figure(d: Diagnosis, o: int) -> str:
     with matplotlib.rc_context(_STYLE):
         fig = Figure(figsize=(7.5, 3.6))
         top, low = fig.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        top.semilogy(test.frequency, np.abs(test.value[o, 0]), color=MEASURED, lw=1.4, label="measured")
+        top.semilogy(*_in_stretches(test.frequency, np.abs(test.value[o, 0])), color=MEASURED, lw=1.4, label="measured")
         for name, colour, made in curves:
             h = predicted(engine, made, test)[o, 0]
             top.semilogy(
-                test.frequency, np.abs(h), color=colour, lw=1.0, ls="--" if name == "base" else "-", label=name
+                *_in_stretches(test.frequency, np.abs(h)),
+                color=colour,
+                lw=1.0,
+                ls="--" if name == "base" else "-",
+                label=name,
             )
-            low.semilogy(test.frequency, np.abs(h - test.value[o, 0]) + 1e-300, color=colour, lw=0.9)
+            low.semilogy(*_in_stretches(test.frequency, np.abs(h - test.value[o, 0]) + 1e-300), color=colour, lw=0.9)
         if test.variance is not None:
-            low.semilogy(test.frequency, np.sqrt(test.variance[o, 0]), color="#8a949e", lw=0.7)
+            low.semilogy(*_in_stretches(test.frequency, np.sqrt(test.variance[o, 0])), color="#8a949e", lw=0.7)
         top.legend(ncol=3, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.1)
         low.set_xlabel("frequency, Hz")
         for ax, name in ((top, "|FRF|"), (low, "residual")):
