@@ -142,7 +142,7 @@ def _filter_rows(found: NonlinearAnswer, out: Path) -> list[Row]:
 
 def _margin(found: NonlinearAnswer, model: Model, held: Recording) -> list[Row]:
     """What each single law leaves of a multisine that none was fitted to, and the runner-up's error over the best's."""
-    from labnnum.diagnosis.nonlinear.first import own_scatter
+    from labnnum.diagnosis.nonlinear.identified import own_scatter
     from labnnum.diagnosis.nonlinear.margin import single_laws
     from labnnum.diagnosis.nonlinear.predict import padded, response
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis import Diagnosis, Observation
-from labnnum.diagnosis.nonlinear.first import own_scatter
+from labnnum.diagnosis.nonlinear.identified import own_scatter
 from labnnum.diagnosis.nonlinear.joined import Predicted, predictions, records
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.errors import EstimationError

@@ -3,10 +3,12 @@
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from labnnum.diagnosis.nonlinear.beside import left_alone
 from labnnum.diagnosis.nonlinear.clamps import giving, nearer_to
 from labnnum.diagnosis.nonlinear.explore import LAWS, engine_start, looked
 from labnnum.diagnosis.nonlinear.force import N_P
@@ -14,6 +16,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.nearby import SOUND, heard, moved
 from labnnum.diagnosis.nonlinear.slack import BRIEF, SETTLED, slackened
 from labnnum.diagnosis.nonlinear.tempered import contest
+from labnnum.diagnosis.nonlinear.weighed import clear
 from labnnum.diagnosis.observe import observe_all
 from labnnum.diagnosis.places import places_of
 from labnnum.nonlinear import Element
@@ -100,3 +103,27 @@ def test_a_clamp_that_gives_is_a_parameter_of_the_model():
 def test_nothing_gives_where_nothing_is_held():
     free = engine(beam())
     assert giving(free, places_of(free)) == []
+
+
+@pytest.mark.parametrize(
+    ("misfit", "plain", "told"), [(143.0, np.inf, True), (143.0, 100.0, False), (2.0, 100.0, True)]
+)
+def test_a_law_on_another_structure_must_be_clear_of_what_the_model_leaves_as_it_is(misfit, plain, told):
+    """A clamp that gives too much leaves a hundred times as much, against which anything is clear."""
+    base = SimpleNamespace(data_part=22800.0, count=1)
+    last = SimpleNamespace(made=SimpleNamespace(prior_part=1.0, n_base=10))
+    study = SimpleNamespace(base=base)
+    found = SimpleNamespace(study=study, laws=[last], named=("a law",), reason="", lying=None, misfit=misfit)
+    assert clear(found, plain) is told
+
+
+def test_what_the_base_leaves_of_all_runs_by_itself():
+    """Noise of a sound structure, and far more of one with stops."""
+    stops = Element("clearance", joint_23(), STOP)
+    left = []
+    for elements in ((), (stops,)):
+        observed = observe_all([recorded(elements, level) for level in (1.0, 16.0)])
+        bench, _, _ = bench_of(observed)
+        band = bench.engine.band[0] / (2 * np.pi), bench.engine.band[1] / (2 * np.pi)
+        left.append(left_alone(bench.engine, SimpleNamespace(train=observed), bench.scatter, band))
+    assert left[0] < 2.0 < 50.0 < left[1]

@@ -54,6 +54,30 @@ def test_a_law_that_leaves_far_more_than_noise_is_tried_where_its_base_finds_the
     assert [t.spot.place.id for t in made] == [a[0] for a in asked]
 
 
+@pytest.mark.parametrize(("left", "asked"), [(150.0, [["1"], ["2", "3"]]), (250.0, [["1"]])])
+def test_a_law_that_does_better_at_another_place_moves_on_from_there(monkeypatch, left, asked):
+    """Where its force would do as well is asked of each place that it comes to, and no place twice."""
+    costs, calls = {"1": left, "2": 110.0, "3": 120.0}, []
+    leads = {"0": (1,), "1": (0, 2, 3), "2": (1, 0, 3)}
+
+    def at_places(found, best, some, scatter):
+        calls.append([q.spot.place.id for q in some])
+        return [tried(int(i), costs[i], "there") for i in calls[-1]]
+
+    def as_well(found, best, every, scatter):
+        return [(1.0, Lead(SPOTS[i], "stick-slip", np.zeros(8), 0.0)) for i in leads[best.spot.place.id]]
+
+    monkeypatch.setattr(chain, "twins", lambda found, spot, every: [])
+    monkeypatch.setattr(chain, "as_well", as_well)
+    monkeypatch.setattr(chain, "at_places", at_places)
+    best = tried(0, 200.0, "best")
+    recovered = [SimpleNamespace(spot=s, gain=1.0) for s in SPOTS]
+    found = SimpleNamespace(best=best, tried=[best], recovered=recovered, engine=None, point=None, runs=())
+    made = chain.rivals(found, SPOTS, None)
+    assert calls == asked
+    assert [t.spot.place.id for t in made] == [i for some in asked for i in some]
+
+
 @pytest.mark.parametrize(("price", "asked"), [(5.0, []), (300.0, ["2", "1", "3"])])
 def test_a_law_for_which_the_base_bends_far_is_tried_elsewhere_from_the_unbent_base(monkeypatch, price, asked):
     """Its own place is left out, those that had a turn from a bent base are not; the least in cost is at its place."""

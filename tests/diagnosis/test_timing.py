@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.gates import drifted
-from labnnum.diagnosis.nonlinear.first import own_scatter
+from labnnum.diagnosis.nonlinear.identified import own_scatter
 from labnnum.diagnosis.nonlinear.joined import records
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Spot

@@ -20,6 +20,7 @@ from labnnum.diagnosis.linear import far
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.explore import LEAVES, LINES, MISLED, STRAINED, calmed
+from labnnum.diagnosis.nonlinear.fitting import fit as fit_base
 from labnnum.diagnosis.nonlinear.locate import recover, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, faults_of
 from labnnum.diagnosis.nonlinear.records import Split
@@ -229,6 +230,20 @@ def misled(engine: Engine, parts: Split, scatter: Scatter, span: tuple[float, fl
     i = quietest(runs)
     calm = calmed(engine, base_point(engine, parts.train[i], scatter, span), runs[i], scatter)
     return calm.data_part > MISLED * calm.count or calm.prior_part > STRAINED * calm.n_base
+
+
+def left_alone(engine: Engine, parts: Split, scatter: Scatter, span: tuple[float, float]) -> float:
+    """Chi-square per value that the base leaves of all runs by itself, fitted from the quietest level."""
+    runs = tuple(o.run for o in parts.train if o.run is not None)
+    i = quietest(runs)
+    point = base_point(engine, parts.train[i], scatter, span)
+    plain = Bench(engine, point, runs, scatter, ()).on(LINES).joint([])
+    made = fit_base(plain, plain.start(calmed(engine, point, runs[i], scatter).x), [None] * len(runs), steps=STEPS)
+    return made.data_part / made.count
+
+
+STEPS = 12
+"""Steps of the base's fit to all runs."""
 
 
 def quietest_of(usable: Sequence[Observation], train: Sequence[Observation]) -> list[Observation]:

@@ -21,6 +21,7 @@ from labnnum.diagnosis.nonlinear.study import FINE, UNSURE, at_places
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Limits
+from labnnum.mechanisms.base import Place
 
 PROMISE, WORTH = 0.15, 0.3
 """Part of what the first law leaves beyond noise that a second must promise to remove along the motion, which the first
@@ -150,7 +151,8 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     made = at_places(found, best, some, scatter)
     weary = tired() and (not some or spent() - before > QUICK * len(some))
     asked = [s if isinstance(s, Spot) else s.spot for s in some]
-    have |= {(s.place, s.axis) for s in asked}
+    have |= {(s.place, s.axis.lstrip("-")) for s in asked}
+    made += _moved_on(found, min([best, *made], key=lambda t: t.cost), every, scatter, have, 1 if weary else ROUNDS)
     reached = min([best, *made], key=lambda t: t.cost)
     bent = reached.made.prior_part > STRAINED * reached.made.n_base
     if bent and reached.named and reached.simulated and reached.made.data_part < UNSURE * reached.made.count:
@@ -171,6 +173,32 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     again, _ = looked(plain, reached.made.x, every)
     there = [q.spot for q in nearest(again) if (q.spot.place, q.spot.axis) not in have][:ANEW]
     return [*made, *at_places(found, reached, there, scatter)]
+
+
+def _moved_on(
+    found: Study, reached: Tried, every: Sequence[Spot], scatter: Scatter, have: set[tuple[Place, str]], rounds: int
+) -> list[Tried]:  # fmt: skip
+    """The law that does better at a place that was asked for it, where its force would do as well from there, and so on
+    while that is better: of the place that it came from those were asked. `have` holds what was asked, and is added to.
+    """
+    out: list[Tried] = []
+    place = found.best.spot.place
+    for _ in range(rounds):
+        sure = reached.named and reached.simulated and reached.made.data_part < UNSURE * reached.made.count
+        if not sure or reached.spot.place == place:
+            break
+        place = reached.spot.place
+        leads = [q for gain, q in as_well(found, reached, every, scatter) if gain > RIVAL]
+        leads = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in have][:ASKED]
+        have |= {(q.spot.place, q.spot.axis.lstrip("-")) for q in leads}
+        made = at_places(found, reached, leads, scatter) if leads else []
+        out += made
+        reached = min([reached, *made], key=lambda t: t.cost)
+    return out
+
+
+ROUNDS = 3
+"""How often a law that does better at another place moves on from there; once after a long search."""
 
 
 def _straightened(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:

@@ -22,6 +22,7 @@ from labnnum.diagnosis.nonlinear.beside import (
     confirmed,
     ends_of,
     finds_first,
+    left_alone,
     misled,
     quietest_of,
     shares_of,
@@ -42,6 +43,7 @@ from labnnum.diagnosis.nonlinear.detect import CHANGE
 from labnnum.diagnosis.nonlinear.effort import counted
 from labnnum.diagnosis.nonlinear.explore import MISLED, NOISY, STRAINED, calmed
 from labnnum.diagnosis.nonlinear.fast import held_fast
+from labnnum.diagnosis.nonlinear.identified import LEAST, NEARLY, missing, own_scatter
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
@@ -78,30 +80,6 @@ if TYPE_CHECKING:
     from labnnum.diagnosis.gates import Gate
 
 
-OWN = Scatter(
-    frequency=0.01, damping=1.0, residue=0.2, shape=1e-4, gain=1e-5, phase=1e-5, complexity=1e-5, remainder=1e-3,
-    floor=3e-4, stiffness=0.0, mass=0.0,
-)  # fmt: skip
-"""Errors of a model that was identified with the sensors it is judged by."""
-
-
-NEARLY = 1 / 3
-"""Part of the base's held-out error, to which a law must bring it down, for what is left to be no objection where the
-base was identified and misses its own data: it has no physics that the law could contradict."""
-
-
-LEAST = 1e-3
-"""What any identified base misses at least, RMS over the lines of a response, relative: errors then weigh as they do in
-a simulated response, and not line by line."""
-
-
-def own_scatter(error: float) -> Scatter:
-    """Errors of a model that was identified with the sensors it is judged by, and missed its own data by `error`."""
-    return replace(
-        OWN, shape=max(OWN.shape, error / 2), remainder=max(OWN.remainder, 2 * error), floor=max(OWN.floor, error / 2)
-    )
-
-
 def nonlinear_first(
     engine: Engine, gate: Gate, observations: Sequence[Observation], held_out: Sequence[Observation], places: Places,
     scatter: Scatter, limits: Limits, span: tuple[float, float] | None,
@@ -125,7 +103,7 @@ def nonlinear_first(
         scatter = own_scatter(engine.structure.error)
         nearly = NEARLY if engine.structure.error > 0 else 0.0
         miss = max(engine.structure.error, LEAST)
-        train, test = ([_missing(o, miss) for o in part] for part in (train, test))
+        train, test = ([missing(o, miss) for o in part] for part in (train, test))
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
     whole = _Whole(
         engine, gate, observations, held_out, places, scatter, limits, band, again, progress, known, nearly, train,
@@ -238,7 +216,7 @@ class _Whole:
             again = self._unsprung(second, under) if under is not None and twice(second) else None
             second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
         elif not sure:
-            on_clamps = self._giving() if early else None
+            on_clamps = self._giving(parts) if early and parts is not None else None
             if on_clamps is not None:
                 self._stands_on(on_clamps)
                 return on_clamps
@@ -255,13 +233,16 @@ class _Whole:
             self._mend(self.faults)
         return found
 
-    def _giving(self) -> NonlinearAnswer | None:
-        """A strong law on the structure of which a clamp gives; None where that does not explain the runs."""
+    def _giving(self, parts: Split) -> NonlinearAnswer | None:
+        """A strong law on the structure of which a clamp gives; None where that does not explain what the structure
+        leaves of the runs as it is.
+        """
         self.progress("searching for a strong law on a clamp that gives")
+        plain = left_alone(self.engine, parts, self.scatter, self.band)
         for on in giving(self.engine, self.places):
             with counted():  # it begins anew, on another structure
                 made = self.law(on, suspicious=False, strong=True)
-                if made is None or not made.named or made.lying is not None or not clear(made):
+                if made is None or not made.named or made.lying is not None or not clear(made, plain):
                     continue
                 nearer = nearer_to(self.engine, on, made.laws[-1].made.x)
                 leads = (tuple(leads_of(made.laws)),)
@@ -593,8 +574,3 @@ def _doubted(rest: Diagnosis, train: Sequence[Observation]) -> int | None:
         return None
     names = [c.name for c in train[0].frf.outputs]
     return names.index(rest.place.id) if rest.place.id in names else None
-
-
-def _missing(o: Observation, error: float) -> Observation:
-    """The observation with what an identified base is known to miss."""
-    return o if o.run is None else replace(o, run=replace(o.run, miss=error))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.beside import strained
 from labnnum.diagnosis.nonlinear.decision import BENT, BOUGHT, EQUAL, FOUND, MISFIT, NOTHING, USELESS, NonlinearAnswer
@@ -41,11 +43,13 @@ def instead(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
     return names or (bool(second.named or not found.named) and better(second, BETTER * found.misfit))
 
 
-def clear(found: NonlinearAnswer) -> bool:
+def clear(found: NonlinearAnswer, plain: float = np.inf) -> bool:
     """Whether a strong law was found, which the quietest level can tell nothing about: one that is named, that still
     needs something linear beside it to be, or that leaves little and has no name.
+
+    `plain`: chi-square per value that another structure leaves by itself, if the law need be clear of that too.
     """
-    base = found.study.base.data_part / found.study.base.count
+    base = min(found.study.base.data_part / found.study.base.count, plain)
     last = found.laws[-1].made
     sure = bool(found.named) or (found.reason in (NOTHING, BOUGHT) and strained(found))
     nameless = found.reason in FOUND and last.prior_part < BENT * last.n_base
