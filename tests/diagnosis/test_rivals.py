@@ -235,3 +235,42 @@ def test_a_law_for_which_the_base_bends_beyond_any_sound_structure_is_not_named(
     assert found.verdict == "unexplained"
     assert found.detail["nonlinear"].reason == decision.BOUGHT
     assert str(found.detail["nonlinear"].place) == "joint 2-3"
+
+
+def yielding(i, cost, mechanism="stick-slip", left=None, count=1000):
+    made = SimpleNamespace(count=count, data_part=cost if left is None else left)
+    return SimpleNamespace(spot=SPOTS[i], mechanism=mechanism, cost=cost, made=made, simulated=True, more=())
+
+
+def test_places_are_told_apart_by_what_yields_there_bit_by_bit(monkeypatch):
+    """One slider at the wrong place leaves less than one at the right place, where many are."""
+    asked = []
+    sliders = {"0": 1019.0, "1": 1001.0, "2": 1025.0}
+
+    def all_forms(found, t, scatter):
+        asked.append(t.spot.place.id)
+        many = yielding(int(t.spot.place.id), sliders[t.spot.place.id], "sliders")
+        return [many, t], many.cost / many.made.count
+
+    monkeypatch.setattr(study, "_forms", all_forms)
+    others = [yielding(0, 1021.0, "hysteresis"), yielding(1, 1022.0), yielding(2, 1030.0), yielding(3, 1100.0)]
+    others += [yielding(4, 1021.0, "clearance")]
+    made = study.kindred(None, others, yielding(0, 1020.0), None)
+    assert asked == ["0", "1", "2"]
+    assert [(t.spot.place.id, t.cost) for t in made[:2]] == [("1", 1001.0), ("1", 1022.0)]
+    assert len(made) == 6
+
+
+@pytest.mark.parametrize(
+    ("one", "many", "left", "kept"),
+    [
+        (1020.0, 1000.0, 1.0, False),  # little, for one more parameter
+        (23500.0, 23000.0, 1.0, True),  # five hundred where noise is all that is left
+        (46500.0, 46000.0, 2.0, False),  # the same where more is left, which no law may have to do with
+        (50000.0, 46000.0, 2.0, True),
+    ],
+)
+def test_one_slider_stands_for_many_unless_they_explain_clearly_more(one, many, left, kept):
+    count = round(many / left)
+    pair = [yielding(0, many, "sliders", many, count), yielding(0, one, "stick-slip", one, count)]
+    assert [t.mechanism for t in study.plainer(pair)] == (["sliders"] if kept else []) + ["stick-slip"]

@@ -21,7 +21,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.nonlinear.stuck import beside_spring, own_stiffness, quiet_data, springs_along, sticking, stuck
-from labnnum.diagnosis.nonlinear.study import yielding_kin
+from labnnum.diagnosis.nonlinear.study import kindred
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.mechanisms.base import Group, Place, Term
 from labnnum.mechanisms.joint_stiffness import JointStiffness
@@ -186,7 +186,7 @@ def test_what_yields_bit_by_bit_is_asked_for_under_both_its_names():
     p[:3] = 800.0, 3.2, 0.8
     sliders = bench.law_alone(engine_start(bench.joint([])), Lead(spot, "sliders", p, 0.0), 10)
     study = Study(bench.engine, bench.point, bench.runs, sliders.made, sliders.made, (sliders,), None, ())
-    best, *others = yielding_kin(study, sliders, Scatter())
+    best, *others = kindred(study, (), sliders, Scatter())
     assert best.mechanism == "hysteresis"
     assert best.made.law(0)[0][0] == pytest.approx(800.0, rel=0.1)
     assert best.cost < 0.1 * min(t.cost for t in others)

@@ -45,12 +45,12 @@ from labnnum.diagnosis.nonlinear.study import (
     corners,
     fine_enough,
     from_afar,
+    kindred,
     named_kin,
     nameless_kin,
     of_known,
     refined,
     search,
-    yielding_kin,
 )
 from labnnum.diagnosis.nonlinear.suspect import FEW, POOR, back, finer, suspect, without
 from labnnum.diagnosis.nonlinear.timing import Timed, timing, told
@@ -257,7 +257,7 @@ class _Search:
         tried = [corners(found, tried, self.scatter, POOR), *tried[1:]]
         if not self.identified:  # the base of such a model is the quietest level's, and no law has bent it
             best = self._deepened(found, fine_enough(found, anew(found, tried, self.scatter), self.scatter))
-            tried = [*yielding_kin(found, best, self.scatter), *tried[1:]]
+            tried = [*kindred(found, tried[1:], best, self.scatter), *tried[1:]]
             tried = [*fast_kin(found, tried[0], self.scatter), *tried[1:]]
             tried = [*named_kin(found, tried[0], self.scatter), *tried[1:]]
             tried = [*_ahead(nameless_kin(found, tried[0], self.scatter), tried[0], self.limits), *tried]

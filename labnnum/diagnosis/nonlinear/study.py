@@ -36,6 +36,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import rounded, spread
 from labnnum.diagnosis.nonlinear.tempered import contest
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.mechanisms.base import Place
 
 ENOUGH = 1.15
 """Chi-square per value at which a law leaves nothing for a general one to explain."""
@@ -191,9 +192,16 @@ what yields after next to no stroke."""
 def plainer(tried: list[Tried]) -> list[Tried]:
     """The candidates without sliders whose limits are spread where one slider at that place does as well."""
     one = {t.spot.place: t.cost for t in reversed(tried) if t.mechanism == "stick-slip" and t.simulated}
-    return [
-        t for t in tried if t.mechanism != "sliders" or one.get(t.spot.place, np.inf) > PLAINER * t.cost
-    ]  # fmt: skip
+
+    def surely(t: Tried) -> bool:
+        most = t.cost + SURELY if t.made.data_part < ENOUGH * t.made.count else np.inf
+        return one.get(t.spot.place, np.inf) > min(PLAINER * t.cost, most)
+
+    return [t for t in tried if t.mechanism != "sliders" or surely(t)]
+
+
+SURELY = 100.0
+"""Chi-square that sliders whose limits are spread must explain more than one does, where they leave noise alone."""
 
 
 FINELY, AGREES = 2, 0.5
@@ -417,14 +425,33 @@ def fine_enough(study: Study, best: Tried, scatter: Scatter) -> Tried:
     return best
 
 
-def yielding_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
+def kindred(study: Study, tried: Sequence[Tried], best: Tried, scatter: Scatter) -> list[Tried]:
     """The law, and in its place, where it yields, hysteresis or sliders whose limits are spread; the best first.
 
     One that yields at once and leaves noise needs no other; what yields bit by bit has two names, and both are asked.
+    So they are at other places where one that yields came as near, and the places are told apart by the form that
+    leaves least at each: one slider tells them apart worse than what is there, if that yields bit by bit.
     """
+    own = _forms(study, best, scatter)
+    near: dict[Place, Tried] = {}
+    if own[0][0].mechanism in SLIDING and not best.more:
+        for t in sorted(tried, key=lambda t: t.cost):
+            soft = t.mechanism in SLIDING and t.simulated and t.cost < CLOSELY * best.cost
+            if soft and t.spot.place != best.spot.place:
+                near.setdefault(t.spot.place, t)
+    forms = [own, *(_forms(study, t, scatter) for t in list(near.values())[:PLACES])]
+    return [t for front, _ in sorted(forms, key=lambda f: f[1]) for t in front]
+
+
+CLOSELY = 1.05
+"""Cost, of the best law's, up to which what yields at another place is asked in all its forms."""
+
+
+def _forms(study: Study, best: Tried, scatter: Scatter) -> tuple[list[Tried], float]:
+    """The forms of a law that yields, the one to be named first; and what the nearest leaves and costs, a value."""
     soft = best.mechanism in SLIDING and best.simulated and not best.more
     if not soft:
-        return [best]
+        return [best], best.cost / best.made.count
     far = {o.mechanism for o in study.tried if o.simulated and o.spot.place == best.spot.place and _behind(o, best)}
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE).against(best)
     made = [
@@ -434,10 +461,11 @@ def yielding_kin(study: Study, best: Tried, scatter: Scatter) -> list[Tried]:
     made += [_dry(bench, best), _single(bench, best)]
     steps = steps_of([*best.made.terms, *(t.made.terms[0] for t in made if t is not None)])
     kin = [finely_carried(bench, t, steps) for t in made if t is not None and not _behind(t, best)]
+    least = min(t.cost / t.made.count for t in [best, *kin])
     front = plainer(sorted([best, *kin], key=lambda t: t.cost))
     front = [*counted(bench, front[0]), *front]
     dry = [t for t in front if t.mechanism == "coulomb-friction" and t.cost < PLAINER * front[0].cost]
-    return dry or front
+    return dry or front, least
 
 
 def counted(bench: Bench, best: Tried) -> list[Tried]:
