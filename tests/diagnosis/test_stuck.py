@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.bench import Bench, Study, of_fit
+from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit
 from labnnum.diagnosis.nonlinear.bounds import frf_least, linear_least
 from labnnum.diagnosis.nonlinear.decision import lead_over
 from labnnum.diagnosis.nonlinear.discrete import feedback
@@ -18,6 +18,7 @@ from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.numbered import numbered
 from labnnum.diagnosis.nonlinear.problem import Acting, _fine
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.softened import softened
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.nonlinear.stuck import beside_spring, own_stiffness, quiet_data, springs_along, sticking, stuck
@@ -190,6 +191,32 @@ def test_what_yields_bit_by_bit_is_asked_for_under_both_its_names():
     assert best.mechanism == "hysteresis"
     assert best.made.law(0)[0][0] == pytest.approx(800.0, rel=0.1)
     assert best.cost < 0.1 * min(t.cost for t in others)
+
+
+def test_a_slider_beside_another_law_yields_bit_by_bit_where_that_leaves_far_less():
+    """Hysteresis beside a cubic spring, found as one slider; where that leaves no more than noise it stays one."""
+    cubic = Element("cubic", np.eye(4)[3], (3e5,))
+    loop = Element("bouc-wen", joint_23(), (800.0, 0.5 / 0.004, 0.5 / 0.004, 1.0))
+    bench, _, every = bench_of(runs([cubic, loop], chain(), (0.5, 3.0)))
+    joint = next(s for s in every if s.place.id == "2" and s.place.to == "3")
+    ground = next(s for s in every if s.place.kind == "ground" and s.place.id == "4")
+    p = np.zeros((2, N_P))
+    p[0, 0], p[1, :2] = 3e5, (700.0, 2.5)
+    leads = [Lead(ground, "cubic-stiffness", p[0], 0.0), Lead(joint, "stick-slip", p[1], 0.0)]
+    x = engine_start(bench.joint([]))
+    alone, both = bench.both(x, leads[:1], 10), bench.both(x, leads, 10)
+    study = Study(bench.engine, bench.point, bench.runs, alone.made, alone.made, (alone,), None, ())
+    little = replace(both.made, data_part=float(both.made.count))
+    as_it_is = [alone, Tried(leads[1], little, both.cost)]
+    assert softened(study, as_it_is, Scatter(), 20.0) == as_it_is
+    made = softened(study, [alone, Tried(leads[1], both.made, both.cost)], Scatter(), 20.0)
+    assert {t.mechanism for t in made} == {"cubic-stiffness", "hysteresis"}
+    assert made[-1].cost / made[-1].made.count < 0.2 * both.cost / both.made.count
+    (k, *_), k3 = (
+        made[-1].made.law([t.mechanism for t in made].index(m))[0] for m in ("hysteresis", "cubic-stiffness")
+    )
+    assert k == pytest.approx(800.0, rel=0.1)
+    assert k3[0] == pytest.approx(3e5, rel=0.1)
 
 
 def test_few_sliders_are_counted_and_many_are_left_as_many():

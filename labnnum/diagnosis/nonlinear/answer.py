@@ -37,6 +37,7 @@ from labnnum.diagnosis.nonlinear.pairs import BETTER, ENOUGH, paired, study_of
 from labnnum.diagnosis.nonlinear.recorded import behind_recorder
 from labnnum.diagnosis.nonlinear.records import Split, changed, split
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.nonlinear.softened import softened
 from labnnum.diagnosis.nonlinear.start import base_point, quietest
 from labnnum.diagnosis.nonlinear.study import (
     FINE,
@@ -301,6 +302,8 @@ class _Search:
         found, laws = done
         if not self.identified and spent() < LAST:
             found, laws = self._in_company(found, laws)
+        if not self.identified:
+            laws = softened(found, laws, self.scatter, self.limits.further)
         more = records(self.others, self.span, self.runs[0].miss) if self.nearly and not self.whole else []
         if more:
             self.progress("fitting records that are not periodic")
