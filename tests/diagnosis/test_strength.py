@@ -1,9 +1,12 @@
-"""A law that is promised far too strong is tried weaker where with the whole of it nothing settles."""
+"""Laws promised far too strong are tried weaker where with the whole nothing settles; one of any strength has no name."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear import decision
 from labnnum.diagnosis.nonlinear.bench import Bench
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
@@ -25,3 +28,13 @@ def test_a_law_that_carries_the_structure_off_is_tried_weaker(times):
     assert (bench._direct([start[: bench.joint([lead]).n_base]], lead, 10) is None) is (times > 1)
     found = bench.direct([start[: bench.joint([lead]).n_base]], lead, 10)
     assert found.made.law(0)[0] == pytest.approx([-2e3], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "untold"),
+    [((9e13,), (1e16,), True), ((-2.0,), (3.0,), True), ((9e13,), (2e13,), False), ((1e9, 2e-3), (4e9, 1e-5), False)],
+)
+def test_a_law_whose_strength_may_be_anything_has_no_name(value, std, untold):
+    """Stops may be as hard as they like, if their gap is told."""
+    made = SimpleNamespace(law=lambda i: (np.array(value), np.array(std)))
+    assert decision._untold(made, 0) is untold

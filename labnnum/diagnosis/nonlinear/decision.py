@@ -98,6 +98,7 @@ GENERAL = "a general law of motion and speed explains far more than any named on
 EQUAL = "two nonlinear laws explain it equally well"
 NOTHING = "what the best nonlinear law leaves is far more than noise"
 BOUGHT = "the base beside the best nonlinear law is bent further than the ordinary errors of any sound model"
+UNTOLD = "the strength of the best nonlinear law may be anything: it holds its place fast, or does next to nothing"
 FOUND = (NAMELESS, GENERAL)
 """Reasons for which nothing is named although nonlinear physics is certain, and at its place."""
 USELESS = "the best nonlinear law does not improve the prediction of data held out"
@@ -165,6 +166,8 @@ def decide(
         reason = GENERAL
     elif lead < limits.name:
         reason = EQUAL
+    elif any(_untold(last.made, i) for i, t in enumerate(laws) if t.named):
+        reason = UNTOLD
     sure = not reason or reason in (*FOUND, EQUAL)
     shown = shown_error(joint, x, orbits, len(train))
     left = shown if _astray(misfit, shown, extended_error[1], noise) else extended_error[1]
@@ -242,6 +245,12 @@ def _stands_out(
     ahead = all(t.cost / t.made.count > AHEAD * alone for t in others)
     explains = last.made.objective / last.made.count < EXPLAINS * found.base.objective / found.base.count
     return ahead and explains and not _warped(last) and error[1] < FORETELLS * base_error[1]
+
+
+def _untold(made: Made, i: int) -> bool:
+    """Whether the i-th law has one parameter, its strength, which is within one deviation of nothing."""
+    value, std = made.law(i)
+    return value.size == 1 and bool(abs(value[0]) < std[0])
 
 
 def _warped(t: Tried) -> bool:
