@@ -1,4 +1,4 @@
-"""Laws promised far too strong are tried weaker where with the whole nothing settles; one of any strength has no name."""
+"""A law promised far too strong is tried weaker where nothing settles; one whose strength is not told has no name."""
 
 from types import SimpleNamespace
 
