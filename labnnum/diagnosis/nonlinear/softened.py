@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, leads_of
+from labnnum.diagnosis.nonlinear.effort import LAST, spent
 from labnnum.diagnosis.nonlinear.explore import LONG
 from labnnum.diagnosis.nonlinear.further import needed
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
@@ -22,7 +23,8 @@ another form must bring it."""
 
 
 def softened(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float) -> list[Tried]:
-    """The chain of laws, with a slider of it in another form where that leaves far less; as it is else.
+    """The chain of laws, with a slider of it in another form where that leaves far less; as it is else, or after a long
+    search.
 
     Parameters
     ----------
@@ -32,7 +34,7 @@ def softened(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float
         Chi-square by which a law must be missed (`needed`).
     """
     last = laws[-1]
-    if len(laws) < 2 or last.made.data_part < LEAVES * last.made.count:
+    if len(laws) < 2 or last.made.data_part < LEAVES * last.made.count or spent() > LAST:
         return list(laws)
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE).against(last)
     own, begin = leads_of(laws), last.made.x[: last.made.bare]
