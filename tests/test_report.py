@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from labnnum.parameters import Estimate, Parameter
 from labnnum.recording import Channel
 from sessions.estimates import StoredEstimate, store_estimate
 from sessions.report.content import gather
-from sessions.report.diagnosis import _in_stretches
+from sessions.report.diagnosis import _in_stretches, rivals_section
 from sessions.report.page import render, verdict, write_report
 from sessions.report.sections import SECTIONS, Section
 from sessions.store import create_session, open_session
@@ -140,3 +141,12 @@ def test_no_curve_is_drawn_over_lines_that_were_not_held_out():
     x, y = _in_stretches(frequency, 2.0 * frequency)
     np.testing.assert_array_equal(np.isnan(x), [0, 0, 0, 1, 0, 0, 0])
     np.testing.assert_array_equal(y, 2.0 * x)
+
+
+@pytest.mark.parametrize(("error", "shown"), [(float("nan"), False), (0.021, True)])
+def test_rivals_that_foretold_nothing_have_no_column_for_it(error, shown):
+    term = SimpleNamespace(mechanism=SimpleNamespace(id="clearance"), place="joint 2-3")
+    rival = SimpleNamespace(term=term, held_out_error=error, why_not="leaves 300 more")
+    page = rivals_section(SimpleNamespace(alternatives=(rival,), located=(), chance=0.2)).body
+    assert ("held-out error" in page, "2.1 %" in page) == (shown, shown)
+    assert "nan" not in page

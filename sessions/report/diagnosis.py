@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -285,11 +286,11 @@ def stiffness_figure(d: Diagnosis, term: Term, named: Named | None) -> str:
 def rivals_section(d: Diagnosis) -> Section:
     """Who lost and why; where the residual can be explained from."""
     rows = [[a.term.mechanism.id, str(a.term.place), percent(a.held_out_error), a.why_not] for a in d.alternatives]
-    body = (
-        table(["candidate", "place", "held-out error", "why not"], rows, (2,))
-        if rows
-        else Markup("<p>None came near.</p>")
-    )
+    head = ["candidate", "place", "held-out error", "why not"]
+    foretold = any(math.isfinite(a.held_out_error) for a in d.alternatives)
+    if not foretold:  # laws that lost are not simulated on data held out
+        rows, head = [[*r[:2], r[3]] for r in rows], [*head[:2], head[3]]
+    body = table(head, rows, (2,) if foretold else ()) if rows else Markup("<p>None came near.</p>")
     located = [[str(p), percent(s)] for p, s in d.located]
     body += Markup("<p>Share of the base model's misfit that something at each place can explain, without a name"
                    " (chance {}):</p>").format(percent(d.chance))  # fmt: skip

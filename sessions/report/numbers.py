@@ -49,14 +49,14 @@ def quantity(value: float, unit: str = "", digits: int = 4) -> str:
 
 
 def percent(value: float, digits: int = 2) -> str:
-    """A share in percent.
+    """A share in percent; a dash where there is none.
 
     Examples
     --------
-    >>> percent(0.01234)
-    '1.2 %'
+    >>> percent(0.01234), percent(float("nan"))
+    ('1.2 %', '–')
     """
-    return f"{100 * value:.{digits}g} %"
+    return f"{100 * value:.{digits}g} %" if math.isfinite(value) else "–"
 
 
 def pretty_unit(unit: str) -> str:

@@ -10,8 +10,10 @@ import pytest
 
 from labnnum.diagnosis import diagnose
 from labnnum.diagnosis.nonlinear import chain, decision, study
+from labnnum.diagnosis.nonlinear.bench import Tried
 from labnnum.diagnosis.nonlinear.lines import OPEN, PERIODIC, ROUGH, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
+from labnnum.diagnosis.verdict import Limits
 from labnnum.mechanisms.base import Place
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import chain as masses
@@ -274,3 +276,20 @@ def test_one_slider_stands_for_many_unless_they_explain_clearly_more(one, many, 
     count = round(many / left)
     pair = [yielding(0, many, "sliders", many, count), yielding(0, one, "stick-slip", one, count)]
     assert [t.mechanism for t in study.plainer(pair)] == (["sliders"] if kept else []) + ["stick-slip"]
+
+
+def test_a_rival_is_told_once_at_a_place_and_with_the_laws_beside_it():
+    """Two motions of one joint are one place; a pair is not its first law alone."""
+    p = np.zeros(8)
+    spots = [Spot(Place("joint", "2", "3"), axis, np.eye(4)[i]) for i, axis in enumerate(("x", "ry"))]
+    best = Tried(Lead(SPOTS[4], "stick-slip", p, 0.0), None, 100.0)
+    pair = (Lead(SPOTS[1], "sliders", p, 0.0),)
+    rivals = [
+        Tried(Lead(spots[0], "sliders", p, 0.0), None, 900.0),
+        Tried(Lead(spots[1], "stick-slip", p, 0.0), None, 400.0),
+        Tried(Lead(spots[1], "stick-slip", p, 0.0), None, 103.0, more=pair),
+    ]
+    said = decision._alternatives(best, rivals, Limits())
+    assert [(a.term.mechanism.id, str(a.term.place)) for a in said] == [("stick-slip", "joint 2-3")] * 2
+    assert said[0].why_not.startswith("beside stick-slip at ground 1 it explains as well as stick-slip at ground 4")
+    assert said[1].why_not == "leaves 300 more than stick-slip at ground 4"

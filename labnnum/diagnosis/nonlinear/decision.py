@@ -23,6 +23,7 @@ from labnnum.diagnosis.nonlinear.errors import (
 )
 from labnnum.diagnosis.nonlinear.explore import GAINS, Prospect
 from labnnum.diagnosis.nonlinear.fitting import GROUPS, Made
+from labnnum.diagnosis.nonlinear.laws import NAMES
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import scale_std
@@ -384,12 +385,21 @@ def _confidence(best: Tried, rivals: Sequence[Tried]) -> float:
 
 
 def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple[Alternative, ...]:
+    """The six nearest rivals, each law once at a place, along whichever motion there it does best, beside the same
+    other laws.
+    """
+    near: dict[frozenset, Tried] = {}
+    for t in sorted(rivals, key=lambda t: t.cost):
+        near.setdefault(t.all_of_it, t)
     out = []
-    for t in sorted(rivals, key=lambda t: t.cost)[:6]:
+    for t in list(near.values())[:6]:
         gap = t.cost - best.cost
         name = f"{best.name} at {best.spot.place}"
         equal = gap < limits.name
         why = f"explains as well as {name} (chi-square + {gap:.1f})" if equal else f"leaves {gap:.0f} more than {name}"
+        if t.more:
+            others = " and ".join(f"{NAMES.get(q.mechanism, q.mechanism)} at {q.spot.place}" for q in t.more)
+            why = f"beside {others} it {why}"
         mechanism = MECHANISMS[t.name]
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
         out.append(Alternative(term, float("nan"), t.cost, why))
