@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from labnnum.diagnosis import observe_all
 from labnnum.diagnosis.engine import Engine
@@ -69,8 +70,8 @@ def sweep(level, n=8192):
     return level * x
 
 
-def blow(level, n=1024):
-    return level * np.exp(-(((np.arange(n) / RATE - 1.0) / 0.05) ** 2))
+def blow(level, n=1024, sharp=0.05):
+    return level * np.exp(-(((np.arange(n) / RATE - 1.0) / sharp) ** 2))
 
 
 def simulated(run, law, p):
@@ -151,6 +152,22 @@ def test_noise_that_grows_with_level_is_a_sign_though_no_frf_changes(seed):
 @pytest.mark.parametrize("seed", [1, 3])
 def test_noise_that_was_added_and_leakage_are_no_sign(damping, seed):
     assert not changed(two_levels([], chain(damping), seed))
+
+
+@pytest.mark.parametrize("sharp", [0.08, 0.01])
+def test_noise_of_a_hit_is_what_stands_before_the_blow(sharp):
+    """A blow that reaches to the end of the spectrum leaves no line to noise alone."""
+    force = blow(400.0, sharp=sharp)
+    plain = np.vstack([force, *(lfilter([1.0], [1.0, a, 0.97], force) for a in (-1.6, -0.9, 0.5))])
+    std = 1e-4 * np.abs(plain).max(axis=1)
+    data = plain + std[:, None] * np.random.default_rng(3).standard_normal(plain.shape)
+    observed = observe_all([Recording((FORCE, *OUTPUTS), data, RATE, label="run")])[0]
+    run, n = hits_of(observed)[0], int(observed.frf.settings["n_segment"])
+    window = np.exp(-run.decay * np.arange(n) / RATE)
+    own = std[1:] ** 2 * np.sum(window**2) * (2 / n) ** 2
+    least = run.noise.min(axis=1) / own
+    assert least.min() > 0.1  # where the quietest lines are noise alone, they are its quietest
+    assert least.max() < 3.0
 
 
 @pytest.mark.parametrize("offset", [0.0, 3.0])

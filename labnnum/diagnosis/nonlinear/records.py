@@ -97,8 +97,30 @@ def hits_of(o: Observation) -> list[Run]:
                 continue
             x = without_offset(recording.data[:, a : a + n], recording.inputs[0])
             spectra = np.fft.rfft(x * np.exp(-decay * np.arange(n) / recording.rate), axis=1) * (2 / n)
-            out.append(_made(recording, spectra, n, decay, False, recording.label, FAINT))
+            white = _white(x, recording.inputs[0], decay / recording.rate)
+            out.append(_made(recording, spectra, n, decay, False, recording.label, FAINT, white))
     return out
+
+
+def _white(x: NDArray, i: int, fall: float) -> NDArray[np.float64]:
+    """Noise of a hit's record x (n_channels, n) as power per line (n_channels,) under its window exp(-fall k), white
+    and as loud as before the blow, that of the force, row i, as in its last half; infinite where there is too little.
+
+    The force's pulse and what it excites may reach to the end of the spectrum, which then shows no noise alone.
+    """
+    n = x.shape[1]
+    begin = int(np.argmax(np.abs(x[i]) > BEGINS * np.max(np.abs(x[i])))) * 2 // 3
+    out = np.mean(x[:, :begin] ** 2, axis=1) if begin >= FEWEST else np.full(x.shape[0], np.inf)
+    out[i] = min(out[i], np.mean(x[i, n // 2 :] ** 2))
+    return out * np.sum(np.exp(-2 * fall * np.arange(n))) * (2 / n) ** 2
+
+
+BEGINS, FEWEST = 0.02, 12
+"""Part of a blow's peak at which it has begun, and samples before it that tell the noise."""
+CLEARLY, STILL = 2.0, 1e-8
+"""Times that noise by which the quietest stretch of a spectrum must exceed it to be no noise alone; and the part of
+that stretch that is noise at least, where a converter shows none before the blow.
+"""
 
 
 # -------------------------------------------------------------------- noise and sweeps
@@ -165,9 +187,12 @@ def _sweeps(u: NDArray) -> bool:
 
 
 def _made(
-    recording: Recording, spectra: NDArray, n: int, decay: float, ends: bool, label: str, faint: float
+    recording: Recording, spectra: NDArray, n: int, decay: float, ends: bool, label: str, faint: float,
+    most: NDArray | None = None,
 ) -> Run:  # fmt: skip
-    """A run of spectra (n_channels, n_lines); lines count as driven above `faint` of the input's largest power."""
+    """A run of spectra (n_channels, n_lines); lines count as driven above `faint` of the input's largest power. Noise
+    is `most` a line (n_channels,) where the quietest of them hold far more.
+    """
     i, outputs = recording.inputs[0], list(recording.outputs)
     u, y = spectra[i].copy(), spectra[outputs]
     lines = np.arange(u.size)
@@ -177,7 +202,10 @@ def _made(
     )  # fmt: skip
     wide = max(u.size // 400, 5)
     power = uniform_filter1d(np.abs(run.seen(u)) ** 2, wide, mode="nearest")
-    of_input = floor_of(run.seen(spectra[i])[None])[0]
+    quietest = floor_of(run.seen(spectra))
+    if most is not None:
+        quietest = np.where(quietest > CLEARLY * most, np.maximum(most, STILL * quietest), quietest)
+    of_input, of_outputs = float(quietest[i]), quietest[outputs]
     least = HEARD * of_input if of_input < FAINT * power.max() else 0.0
     at = np.flatnonzero(power > max(SILENT * power.max(), least))
     driven = np.flatnonzero(power > max(faint * power.max(), least))
@@ -190,7 +218,7 @@ def _made(
         u[: int(at[0])] = 0.0  # noise alone, which a free structure would take far
     seen = run.seen(y)
     through = uniform_filter1d(np.abs(seen) ** 2, wide, axis=1, mode="nearest") / np.maximum(power, 1e-300)
-    noise = floor_of(seen)[:, None] + np.where(on, through, 0.0) * of_input
+    noise = of_outputs[:, None] + np.where(on, through, 0.0) * of_input
     level = float(np.sqrt(np.sum(np.abs(u) ** 2) / 2))
     return resampled(replace(run, noise=noise, excited=on, level=level))
 
