@@ -59,7 +59,7 @@ def distinct(engine: Engine, every: Sequence[Spot]) -> tuple[list[Spot], Equals]
 
 def others_of(equal: Equals, spot: Spot) -> tuple[Place, ...]:
     """Other places that move as a spot does, in either sense."""
-    return equal.get((spot.place, spot.axis.lstrip("-")), ())
+    return equal.get(spot.where, ())
 
 
 def _answers(omega: NDArray, zeta: NDArray, band: tuple[float, float]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.follow import Followed, marched_from
-from labnnum.diagnosis.nonlinear.laws import NAMES, SHAPES
+from labnnum.diagnosis.nonlinear.laws import SHAPES
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
@@ -54,13 +54,13 @@ class Tried:
     @property
     def name(self) -> str:
         """The mechanism of the catalogue that it is."""
-        return NAMES.get(self.mechanism, self.mechanism)
+        return self.lead.name
 
     @property
     def all_of_it(self) -> frozenset[tuple[str, Place]]:
         """Names and places of all its laws."""
         leads = (self.lead, *self.more)
-        return frozenset((NAMES.get(lead.mechanism, lead.mechanism), lead.spot.place) for lead in leads)
+        return frozenset((lead.name, lead.spot.place) for lead in leads)
 
     def same(self, other: Tried) -> bool:
         """Whether both are one answer."""

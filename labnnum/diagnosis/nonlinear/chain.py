@@ -145,13 +145,13 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     some: Sequence[Spot | Lead] = [*alike, *near][:3]
     if best.named and best.simulated and best.made.data_part < UNSURE * best.made.count:
         leads = [q for gain, q in as_well(found, best, every, scatter) if gain > RIVAL]
-        leads = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in have]
+        leads = [q for q in leads if q.spot.where not in have]
         some = [*alike, *(q for q in leads if not any(q.spot.place == o.place for o in alike))][:ASKED]
     before = spent()
     made = at_places(found, best, some, scatter)
     weary = tired() and (not some or spent() - before > QUICK * len(some))
     asked = [s if isinstance(s, Spot) else s.spot for s in some]
-    have |= {(s.place, s.axis.lstrip("-")) for s in asked}
+    have |= {s.where for s in asked}
     made += _moved_on(found, min([best, *made], key=lambda t: t.cost), every, scatter, have, 1 if weary else ROUNDS)
     reached = min([best, *made], key=lambda t: t.cost)
     bent = reached.made.prior_part > STRAINED * reached.made.n_base
@@ -189,8 +189,8 @@ def _moved_on(
             break
         place = reached.spot.place
         leads = [q for gain, q in as_well(found, reached, every, scatter) if gain > RIVAL]
-        leads = [q for q in leads if (q.spot.place, q.spot.axis.lstrip("-")) not in have][:ASKED]
-        have |= {(q.spot.place, q.spot.axis.lstrip("-")) for q in leads}
+        leads = [q for q in leads if q.spot.where not in have][:ASKED]
+        have |= {q.spot.where for q in leads}
         made = at_places(found, reached, leads, scatter) if leads else []
         out += made
         reached = min([reached, *made], key=lambda t: t.cost)

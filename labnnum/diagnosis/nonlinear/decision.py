@@ -23,7 +23,6 @@ from labnnum.diagnosis.nonlinear.errors import (
 )
 from labnnum.diagnosis.nonlinear.explore import GAINS, Prospect
 from labnnum.diagnosis.nonlinear.fitting import GROUPS, Made
-from labnnum.diagnosis.nonlinear.laws import NAMES
 from labnnum.diagnosis.nonlinear.linearise import linearised, linearised_records
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.scales import scale_std
@@ -398,7 +397,7 @@ def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple
         equal = gap < limits.name
         why = f"explains as well as {name} (chi-square + {gap:.1f})" if equal else f"leaves {gap:.0f} more than {name}"
         if t.more:
-            others = " and ".join(f"{NAMES.get(q.mechanism, q.mechanism)} at {q.spot.place}" for q in t.more)
+            others = " and ".join(f"{q.name} at {q.spot.place}" for q in t.more)
             why = f"beside {others} it {why}"
         mechanism = MECHANISMS[t.name]
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)

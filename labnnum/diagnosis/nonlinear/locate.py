@@ -13,6 +13,7 @@ from scipy.ndimage import uniform_filter1d
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.kernels import AROUND, weighed
+from labnnum.diagnosis.nonlinear.laws import NAMES
 from labnnum.diagnosis.nonlinear.orbit import Orbit
 from labnnum.diagnosis.nonlinear.problem import Acting, Joint
 from labnnum.diagnosis.nonlinear.receptance import Base, Receptance, per_place
@@ -30,6 +31,11 @@ class Spot:
     place: Place
     axis: str
     column: NDArray[np.float64]
+
+    @property
+    def where(self) -> tuple[Place, str]:
+        """Place and axis, whichever side of it a stop is on."""
+        return self.place, self.axis.lstrip("-")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +75,11 @@ class Lead:
     mechanism: str
     p: NDArray[np.float64]
     gain: float
+
+    @property
+    def name(self) -> str:
+        """Mechanism that it is named by."""
+        return NAMES.get(self.mechanism, self.mechanism)
 
     def acting(self) -> Acting:
         """As the fit takes it."""

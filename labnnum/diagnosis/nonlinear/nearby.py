@@ -39,15 +39,15 @@ def moved(
     if best is None:
         return []
     out: list[Tried] = []
-    seen: set[tuple[Place, str]] = {_where(best.spot)}
+    seen: set[tuple[Place, str]] = {best.spot.where}
     for _ in range(ROUNDS):
         if best.made.data_part < noise * best.made.count:
             break
         bases = best.made.x[: best.made.bare], x
         leads = [q for gain, q in answered(wide, best.made.x, best, spots) if gain > ALMOST]
-        fresh = [q for q in leads if _where(q.spot) not in seen][:OTHERS]
+        fresh = [q for q in leads if q.spot.where not in seen][:OTHERS]
         made = [one for q in fresh if (one := wide.direct(bases, q, BRIEF, soften=False)) is not None]
-        seen |= {_where(q.spot) for q in fresh}
+        seen |= {q.spot.where for q in fresh}
         made = [wide.carry_on(t, STEPS, last=False) if t.cost < FAR * best.cost else t for t in made]
         first = min(made, key=lambda t: t.cost, default=best)
         if first.cost >= best.cost:
@@ -55,8 +55,3 @@ def moved(
         best = wide.carry_on(first, SETTLED, last=False)
         out.append(best)
     return out
-
-
-def _where(spot: Spot) -> tuple[Place, str]:
-    """Place and axis of a spot, whichever side of it a stop is on."""
-    return spot.place, spot.axis.lstrip("-")

@@ -159,7 +159,7 @@ AROUND = 2
 
 def number_of(spots: Sequence[Spot], spot: Spot) -> int:
     """Where a spot, in either sense, stands among all."""
-    return next(i for i, s in enumerate(spots) if s.place == spot.place and s.axis == spot.axis.lstrip("-"))
+    return next(i for i, s in enumerate(spots) if (s.place, s.axis) == spot.where)
 
 
 def _sense(spot: Spot) -> str:

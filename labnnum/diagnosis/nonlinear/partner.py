@@ -138,7 +138,7 @@ def _foremost(looked: Sequence[tuple[float, Two]]) -> list[tuple[float, Two]]:
     """The form of each law at each place that leaves least, those that leave least first."""
     best: dict[tuple, tuple[float, Two]] = {}
     for left, two in sorted((row for row in looked if np.isfinite(row[0])), key=lambda row: row[0]):
-        best.setdefault((two[1].mechanism, two[1].spot.place, two[1].spot.axis.lstrip("-")), (left, two))
+        best.setdefault((two[1].mechanism, two[1].spot.where), (left, two))
     return list(best.values())
 
 

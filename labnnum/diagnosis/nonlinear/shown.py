@@ -36,7 +36,7 @@ def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter
     without the law may hold a part of it. Means, which no line of the band shows, are those of the simulated motion
     and of the law; after a hit, which has none that lasts, they stay as they are.
     """
-    here = best.spot.place, best.spot.axis.lstrip("-")
+    here = best.spot.where
     seen = next((q for q in found.recovered if (q.spot.place, q.spot.axis) == here), None)
     if seen is None:
         return ()

@@ -201,7 +201,7 @@ def unsprung(
     own = {(s.place, s.axis): s for s in spots}
     plain, stiffer = [], []
     for lead in leads_of(laws):
-        spot = own.get((lead.spot.place, lead.spot.axis.lstrip("-")))
+        spot = own.get(lead.spot.where)
         if spot is None:
             return ()
         spot = replace(spot, axis=lead.spot.axis)
