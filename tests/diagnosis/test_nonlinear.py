@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+import labnnum.diagnosis.nonlinear.discrete as marching
 from labnnum.diagnosis import diagnose, observe_all
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.bench import Bench, Study
 from labnnum.diagnosis.nonlinear.detect import signs
+from labnnum.diagnosis.nonlinear.discrete import growth, held
 from labnnum.diagnosis.nonlinear.explore import engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
 from labnnum.diagnosis.nonlinear.force import CODES
@@ -78,9 +80,9 @@ SEAT = np.array([0.0, -1.0, 0.0, 0.0, 1.0])
 """From node 2 to the light mass of `seated`."""
 
 
-def steady(structure, spectrum, law, p):
+def steady(structure, spectrum, law, p, place=None):
     engine = Engine(structure, OUTPUTS, (FORCE,), (2 * np.pi * 0.5, 2 * np.pi * 12))
-    column = SEAT if len(structure.dofs) == SEAT.size else joint_23()
+    column = place if place is not None else SEAT if len(structure.dofs) == SEAT.size else joint_23()
     base = Base(engine, engine.start(), column[:, None], 2 * np.pi * np.arange(PERIOD // 2 + 1) * RATE / PERIOD)
     none = np.zeros((3, PERIOD // 2 + 1))
     run = Run(RATE, PERIOD, spectrum, none + 0j, none, spectrum != 0, 1.0, "run", OUTPUTS, FORCE, 1)
@@ -193,6 +195,80 @@ def test_dry_friction_on_a_seat_that_gives_way_converges_with_the_square_of_the_
     assert errors[0] > 4 * errors[1]
     slider = marched(spectrum, [Element("jenkins", joint_23(), (30000.0, limit))], chain(), fine=32)
     assert np.linalg.norm(response(128) - lines_of(slider)[:, 7:150]) < 0.01 * np.linalg.norm(response(128))
+
+
+@pytest.mark.parametrize(
+    ("rest", "factor"), [(0.0, 2 + np.sqrt(3)), (0.25, (3.5 + np.sqrt(6.0)) / 2.5), (0.5, 1.0), (2.0, 1.0)]
+)
+def test_a_mass_that_is_held_rings_unless_it_gives_way(rest, factor):
+    """A free mass m on a seat: with c = h^2 / 6 m the force that holds it goes on by the roots of
+    (rest + c) x^2 + (4 c - 2 rest) x + rest + c; `rest` in units of c.
+    """
+    step = 0.1
+    T, W0, W1 = held(np.zeros(1), np.zeros(1), step)
+    inner = W1[:1] + rest * step**2 / 6
+    assert growth(T, W0, W1, np.ones((1, 1)), inner) == pytest.approx(factor, abs=1e-6)
+
+
+def test_growth_is_that_of_the_march():
+    """Two places of five modes held still, step by step, against the largest factor."""
+    rng = np.random.default_rng(3)
+    omega, zeta, w, step = np.array([0.0, 20.0, 45.0, 80.0, 135.0]), np.full(5, 0.01), rng.normal(size=(2, 5)), 0.02
+    T, W0, W1 = held(omega, zeta, step)
+    inner = (w * W1[0]) @ w.T + np.diag([3e-5, 5e-5])
+    x, f, sizes = rng.normal(size=(2, 5)), np.zeros(2), []
+    for _ in range(60):
+        push = w.T @ f
+        x = np.array([T[0] * x[0] + T[1] * x[1], T[2] * x[0] + T[3] * x[1]]) + W0 * push
+        f = -np.linalg.solve(inner, w @ x[0])
+        x = x + W1 * (w.T @ f)
+        sizes.append(np.abs(f).max())
+    assert growth(T, W0, W1, w, inner) == pytest.approx((sizes[-1] / sizes[-21]) ** (1 / 20), rel=0.02)
+
+
+def test_a_place_that_would_ring_is_held_by_its_speed(monkeypatch):
+    """A light mass whose mode turns by nearly half a circle in a step: held, its place rings from step to step, more
+    each time, and tangents with it; its speed does not.
+    """
+    links = [
+        Link("1", "ground", "k1", 4.0),
+        Link("3", "5", 0.05 * (2 * np.pi * 30) ** 2, 0.0),
+        Link("5", "6", 3000.0, 0.0),
+    ]
+    links += [Link(str(i), str(i + 1), 1000.0, 4.0) for i in range(1, 4)]
+    prior = (Parameter("k1", 1000.0, 700.0, 1300.0, "N/m", std=50.0),)
+    monkeypatch.setattr(marching, "SEATED", 0.5)
+    light = Chain({**{str(i): 1.0 for i in range(1, 5)}, "5": 0.05, "6": 1e-4}, tuple(links), prior)
+    spectrum = multisine(25.0, 1)
+    base, coarse, parameters = steady(light, spectrum, "coulomb", (2.0,), np.array([0.0, -1.0, 0.0, 0.0, 0.0, 1.0]))
+    x = base.start()
+    r = base.at(x)
+
+    def solved(fine, p):
+        solver = Steady(coarse.run, coarse.codes, fine)
+        return solver, solver.settle(r, p, solver.guess(r, np.zeros((solver.n, 1))), 40, 1e-9, warm=4)
+
+    solver, orbit = solved(2, parameters)
+    made = solver.prepare(r)
+    assert made.inner[0, 0] > 1.5 * (made.w * made.W1[0]) @ made.w.T
+    assert growth(made.T, made.W0, made.W1, made.w, made.inner) > 1.5
+    assert not made.seated.any()
+    _, _, dz, dg = base.derivatives(x, r)
+    vary = np.zeros((1, 1, 10))
+    vary[0, 0, 0] = 1.0
+    _, slope = solver.slopes(r, parameters, orbit, (dz, dg), vary)
+    ends = [solved(2, parameters * part)[1].force for part in (1.0001, 0.9999)]
+    finite = (ends[0] - ends[1]) / (2e-4 * parameters[0, 0])
+    assert np.linalg.norm(slope.force[x.size] - finite) < 0.05 * np.linalg.norm(finite)
+    fine, exact = solved(32, parameters)
+    assert fine.prepare(r).seated.all()
+    r.marches.clear()
+    monkeypatch.setattr(marching, "RINGS", 10.0)
+    ringing, rung = solved(2, parameters)
+    assert ringing.prepare(r).seated.all()
+    far, farther = (np.linalg.norm(o.force - exact.force) for o in (orbit, rung))
+    assert far < 0.2 * np.linalg.norm(exact.force)
+    assert farther > 1.5 * far
 
 
 @pytest.mark.parametrize("before", [0.7, -0.7, 1e-12, 0.0])

@@ -41,10 +41,15 @@ class Discrete:
 SEATED = 1.5
 """How much more than within a step by its own inertia a place must give way by what follows at once, for dry friction
 to hold the place and not the speed: a stiffer seat rings from step to step, and a softer one has a speed of its own."""
+RINGS = 1e-4
+"""Growth from step to step of what rings while places are held, above which they are not: a hit's friction holds for
+thousands of steps."""
 
 
-def discrete(r: Receptance, step: float, top: int) -> Discrete:
-    """The modes of a receptance marched with this step; `top` is the highest excited line."""
+def discrete(r: Receptance, step: float, top: int, dry: NDArray | None = None) -> Discrete:
+    """The modes of a receptance marched with this step; `top` is the highest excited line, and `dry` (k,) says which
+    laws are dry friction.
+    """
     slow = np.flatnonzero(r.omega < r.reach * np.abs(r.s[top]))  # faster ones follow at once, exactly by lines
     fast = np.setdiff1d(np.arange(r.omega.size), slow)
     omega, zeta, w = r.omega[slow], r.zeta[slow], np.ascontiguousarray(r.w[:, slow])
@@ -67,14 +72,36 @@ def discrete(r: Receptance, step: float, top: int) -> Discrete:
     gz = (pairs @ xq).reshape(k, k, r.s.size) + rest[:, :, None]
     gv = (pairs @ xv).reshape(k, k, r.s.size)
     inner = (w * W1[0]) @ w.T
-    seated = np.diag(rest) > SEATED * np.diag(inner)
+    seated = np.zeros(k, bool) if dry is None else dry & (np.diag(rest) > SEATED * np.diag(inner))
+    own = np.diag(rest) / np.diag(inner) if seated.any() else np.zeros(k)
     inner = inner + rest
+    while seated.any() and growth(T, W0, W1, w[seated], inner[np.ix_(seated, seated)]) > 1.0 + RINGS:
+        seated[np.flatnonzero(seated)[np.argmin(own[seated])]] = False
     back = rest / step  # what follows at once has a speed as well
     gv += back[:, :, None] * (1 - 1 / turn)
     rate = (w * W1[1]) @ w.T + back
     return Discrete(
         T, W0, W1, w, inner, rate, back, seated, gz, gv, r.g - gz, r.s * r.g - gv, xq, xv,
     )  # fmt: skip
+
+
+def growth(T: NDArray, W0: NDArray, W1: NDArray, w: NDArray, inner: NDArray) -> float:
+    """Largest factor by which anything grows from one step to the next while forces hold the places w (k, m) still.
+
+    The forces that hold them are straight between steps: they undo at the end of a step what those at its beginning
+    did, and where modes turn by nearly half a circle in a step more than that, from step to step.
+    """
+    k, m = w.shape
+    on = np.zeros((2 * m + k, 2 * m + k))
+    at = np.arange(m)
+    on[at, at], on[at, m + at], on[m + at, at], on[m + at, m + at] = T
+    on[:m, 2 * m :], on[m : 2 * m, 2 * m :] = (W0[:, None] * w).transpose(0, 2, 1)
+    end = np.vstack([*(W1[:, None] * w).transpose(0, 2, 1), np.eye(k)])
+    try:
+        on -= end @ np.linalg.solve(inner, w @ on[:m])
+    except np.linalg.LinAlgError:  # two forces at one place
+        return np.inf
+    return float(np.max(np.abs(np.linalg.eigvals(on))))
 
 
 def held(omega: NDArray, zeta: NDArray, step: float) -> tuple[NDArray, NDArray, NDArray]:

@@ -20,7 +20,7 @@ from scipy.fft import irfft, rfft
 
 from labnnum.diagnosis.nonlinear.discrete import Discrete, described, discrete, feedback
 from labnnum.diagnosis.nonlinear.effort import marched
-from labnnum.diagnosis.nonlinear.force import N_P, remembered
+from labnnum.diagnosis.nonlinear.force import CODES, N_P, remembered
 from labnnum.diagnosis.nonlinear.march import march
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Marched, Orbit, Slopes, closed, parts_of, relative, state_of
 from labnnum.diagnosis.nonlinear.receptance import Receptance
@@ -68,7 +68,7 @@ class Steady:
     def prepare(self, r: Receptance) -> Discrete:
         """Transition, weights and discrete transfers of a receptance's modes (remembered with it)."""
         if self.step not in r.marches:
-            r.marches[self.step] = discrete(r, self.step, self.top)
+            r.marches[self.step] = discrete(r, self.step, self.top, self.codes == CODES["coulomb"])
         return r.marches[self.step]
 
     def to_time(self, spectrum: NDArray) -> NDArray[np.float64]:
