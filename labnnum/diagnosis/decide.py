@@ -136,7 +136,7 @@ def decide(
         extended_error, noise, nonlinear, "", "", source.fit.point.theta, std,
         np.exp(source.fit.point.log_zeta), detail,
     )  # fmt: skip
-    return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
+    return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown, observations))
 
 
 def _moved(engine: Engine, made: Fit) -> bool:
@@ -299,7 +299,9 @@ def _alternatives(
             continue
         gap = c.cost - best.cost
         error = relative_error(test, predicted(engine, c.fit, test))
-        if gap < limits.name:
+        if c is best:
+            why = "comes nearest of all that were tried, and is not enough for a name"
+        elif gap < limits.name:
             why = f"explains the data as well as {best.last.mechanism.id} at {best.last.place} (chi-square + {gap:.1f})"
         else:
             why = f"leaves {gap:.0f} more in chi-square than {best.last.mechanism.id} at {best.last.place}"

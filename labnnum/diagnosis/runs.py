@@ -41,12 +41,35 @@ def kept_back(observations: Sequence[Observation]) -> set[int]:
     Where that one shows far more distortion than another of its level, the other is held out: a gap that one input
     closes and another does not can only be told from the first.
     """
+    repeated = _of_repeated(observations, _by_level(observations))
+    return repeated or {len(observations) - 1}
+
+
+def kept_from_law(observations: Sequence[Observation]) -> set[int]:
+    """Numbers of the runs held out of a search for what changes with level: as `kept_back` where a level was repeated;
+    else the one in the middle of three levels or more, and none of two.
+
+    The loudest shows the law best and may alone reach it, and the quietest what the structure is without.
+    """
+    groups = _by_level(observations)
+    repeated = _of_repeated(observations, groups)
+    if repeated or len(groups) < 3:
+        return repeated
+    return set(groups[sorted(groups)[len(groups) // 2]])
+
+
+def _by_level(observations: Sequence[Observation]) -> dict[int, list[int]]:
+    """Numbers of the runs of each level, in decibels; those of unknown level together."""
     groups: dict[int, list[int]] = {}
     for i, o in enumerate(observations):
         key = round(10 * np.log10(o.level)) if np.isfinite(o.level) and o.level > 0 else 0
         groups.setdefault(key, []).append(i)
-    repeated = [_least(observations, g) for g in groups.values() if len(g) > 1]
-    return set(repeated) if repeated else {len(observations) - 1}
+    return groups
+
+
+def _of_repeated(observations: Sequence[Observation], groups: dict[int, list[int]]) -> set[int]:
+    """One run of each level that has more."""
+    return {_least(observations, g) for g in groups.values() if len(g) > 1}
 
 
 def _least(observations: Sequence[Observation], group: Sequence[int]) -> int:

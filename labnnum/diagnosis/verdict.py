@@ -127,8 +127,15 @@ class Diagnosis:
         """How the natural frequencies went during the session, where a drift was followed."""
         return next((n.term.data["creep"] for n in self.named if "creep" in n.term.data), None)
 
+    @property
+    def held_apart(self) -> bool:
+        """Whether the errors called held out are of data that no fit saw; else they are of those that were fitted."""
+        found = self.detail.get("nonlinear")
+        return found is None or bool(found.held_out)
+
     def as_dict(self) -> dict[str, Any]:
         """The content of diagnosis.json, schema 1."""
+        apart = "held out" if self.held_apart else "fitted, since no run was held out"
         first = self.named[0] if self.named else None
         return {
             "schema": 1,
@@ -140,7 +147,7 @@ class Diagnosis:
             "located": [{"place": p.as_dict(), "share": round(float(s), 4)} for p, s in self.located],
             "chance_share": round(float(self.chance), 4),
             "fit": {
-                "metric": "relative RMS error of the response, held out",
+                "metric": f"relative RMS error of the response, {apart}",
                 "base": {"train": _finite(self.base_error[0]), "held_out": _finite(self.base_error[1])},
                 "extended": {"train": _finite(self.extended_error[0]), "held_out": _finite(self.extended_error[1])},
                 "noise_floor": _finite(self.noise_floor),

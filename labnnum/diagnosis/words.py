@@ -7,17 +7,40 @@ from collections.abc import Sequence
 import numpy as np
 
 from labnnum.diagnosis.nonlinear.decision import strays
+from labnnum.diagnosis.nonlinear.detect import restless
 from labnnum.diagnosis.nonlinear.tie import tightness
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.verdict import Diagnosis
+from labnnum.mechanisms.base import Place
 
 COARSE = 2e-3
 """Relative error of a frequency by the mesh alone, from which on it is worth a word."""
 
 
-def summarise(d: Diagnosis) -> str:
-    """One paragraph: verdict, place, mechanism with its parameters, what the fit gained, and a mesh that is coarse."""
-    return _found(d) + _mesh(d)
+def summarise(d: Diagnosis, observations: Sequence[Observation] = ()) -> str:
+    """One paragraph: verdict, place, mechanism with its parameters, what the fit gained, a mesh that is coarse, and
+    runs that do not repeat.
+    """
+    return _found(d) + _mesh(d) + _restless(observations)
+
+
+def _restless(observations: Sequence[Observation]) -> str:
+    """Runs whose periods differ by more than sensors' noise."""
+    moving = restless(observations)
+    if not moving:
+        return ""
+    names = [f"{observations[i].label} (by {_percent(part)})" for i, part in moving.items()]
+    one = len(names) == 1
+    subject, rest = ("response", "s") if one else ("responses", "")
+    return (
+        f" The {subject} of {_listed(names)} differ{rest} from period to period by far more than the sensors' noise:"
+        f" {'it has' if one else 'they have'} not settled, or wander{rest} between steady states."
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    *most, last = names
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def _mesh(d: Diagnosis) -> str:
@@ -44,7 +67,7 @@ def _found(d: Diagnosis) -> str:
             " no physics is missing."
         )
     if d.verdict == "unexplained":
-        where = f" at {d.place}" if d.place else ""
+        where = f" at {d.place}{_anywhere(d)}" if d.place else ""
         why = d.detail.get("reason") or "no mechanism of the catalogue explains it"
         return f"Something is missing{where}, and the data do not give it a name: {why}.{_equal(d)}"
     parts = []
@@ -63,11 +86,30 @@ def _found(d: Diagnosis) -> str:
             f" From the first sample to the last all natural frequencies {'rose' if creep.change > 0 else 'fell'} by"
             f" {_percent(abs(creep.change))}; what else is said here holds for the middle of the session."
         )
-    return (
-        f"{'; and '.join(parts)}.{told} The held-out error falls from {_percent(d.base_error[1])} to"
-        f" {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)})."
-        f"{_astray(d)}{_in_step(d)}{_equal(d)}{_beside(d)}"
-    )
+    return f"{'; and '.join(parts)}.{told} {_gained(d)}{_astray(d)}{_in_step(d)}{_equal(d)}{_beside(d)}"
+
+
+MANY, ALIKE = 5, 1.5
+"""Other places from which on it is said that many explain what is missing; and times what the best leaves, up to which
+one does."""
+
+
+def _anywhere(d: Diagnosis) -> str:
+    """Whether many places explain what is missing as well as the one that is told: it may be spread over them all."""
+    shares = {place: share for place, share in d.located if place != d.place}
+    best = max((share for _, share in d.located), default=0.0)
+    near = [p for p, share in shares.items() if 1 - share < ALIKE * (1 - best) and p.kind != "channel"]
+    if len(near) < MANY:
+        return ""
+    return f", or at any of {len(near)} other places or more that explain as much of it, or spread over all of them"
+
+
+def _gained(d: Diagnosis) -> str:
+    """What the error was and is, and of which data."""
+    of = "held-out error" if d.held_apart else "error of the runs, all of which were fitted,"
+    change = f"from {_percent(d.base_error[1])} to {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)})"
+    alone = "" if d.held_apart else " None was left to be held out: a second run of a level would judge the answer."
+    return f"The {of} falls {change}.{alone}"
 
 
 def _equal(d: Diagnosis) -> str:
@@ -77,9 +119,8 @@ def _equal(d: Diagnosis) -> str:
     place = laws[0] if laws else d.place
     if found is None or not found.equal or place is None or place != found.laws[0].spot.place:
         return ""
-    *most, last = (str(p) for p in found.equal)
-    others = f"{', '.join(most)} and {last}" if most else last
-    verb = "move" if most else "moves"
+    others = _listed([str(p) for p in found.equal])
+    verb = "move" if len(found.equal) > 1 else "moves"
     return f" In the modes of the band {others} {verb} as {place} does: no measurement there tells which of them it is."
 
 
@@ -132,17 +173,24 @@ def _percent(x: float) -> str:
 
 def next_experiment(d: Diagnosis, observations: Sequence[Observation]) -> str:
     """What to measure next; empty only when the verdict is certain."""
+    moving = restless(observations)
+    if moving and d.verdict not in ("consistent", "parameters"):
+        first = _listed([observations[i].label for i in moving])
+        settle = f"Let the response settle for longer before recording {first}, or change the level a little."
+        return f"{settle} {_next(d, observations)}".strip() if d.verdict != "unexplained" else settle
+    return _next(d, observations)
+
+
+def _next(d: Diagnosis, observations: Sequence[Observation]) -> str:
     levels = {round(o.level, 12) for o in observations}
     if d.verdict in ("consistent", "parameters"):
         if len(levels) < 2:
             return "One level cannot tell linear from nonlinear: repeat at two and at four times the level."
         return ""
     if d.verdict == "unexplained":
-        rivals = [f"{a.term.mechanism.id} at {a.term.place}" for a in d.alternatives[:2]]
-        if d.place is not None and d.place.kind != "channel":
-            between = f" to tell {' from '.join(rivals)}" if len(rivals) == 2 else ""
-            return f"Add a sensor at {d.place}{between}, and repeat at two further levels."
-        return "Exchange the cable and the transducer of that channel and repeat."
+        if d.place is not None and d.place.kind == "channel":
+            return "Exchange the cable and the transducer of that channel and repeat."
+        return _nearer(d)
     first = d.named[0]
     if first.term.mechanism.id == "channel-clipping":
         return f"Give {first.place} a wider range, or drive less, and repeat the runs in which it clips."
@@ -158,5 +206,36 @@ def next_experiment(d: Diagnosis, observations: Sequence[Observation]) -> str:
     if first.confidence < 0.95 and d.alternatives:
         a = d.alternatives[0]
         rival = f"{a.term.mechanism.id} at {a.term.place}"
-        return f"Add a sensor at {first.place}: it tells {first.term.mechanism.id} from {rival}."
+        bare = _bare(d, first.place) or _bare(d, a.term.place)
+        if a.term.place == first.place or not bare:
+            told = f"how the response grows with level tells {first.term.mechanism.id} from {rival}"
+            return f"Repeat at two further levels: {told}."
+        return f"Add a sensor at {_nodes(bare)}: it tells {first.term.mechanism.id} from {rival}."
     return ""
+
+
+def _nearer(d: Diagnosis) -> str:
+    """What tells more of something that has no name: sensors where there are none, else levels."""
+    repeat = "repeat at two further levels, one of them quieter than all"
+    if d.place is None or d.place.kind in ("global", "system"):
+        return f"Nothing tells where it acts: add sensors between those that are there, and {repeat}."
+    rivals = d.alternatives[:2]
+    apart = len(rivals) == 2 and rivals[0].term.place != rivals[1].term.place
+    between = " from ".join(f"{a.term.mechanism.id} at {a.term.place}" for a in rivals)
+    bare = _bare(d, d.place, *(a.term.place for a in rivals if apart))
+    if bare:
+        return f"Add a sensor at {_nodes(bare)}{f' to tell {between}' if apart else ''}, and {repeat}."
+    return f"There are sensors at {d.place} already: {repeat}, and compare with a law of your own (--mechanism)."
+
+
+def _bare(d: Diagnosis, *places: Place) -> list[str]:
+    """Nodes of places that have no sensor."""
+    engine = d.detail.get("engine")
+    heard = {c.node for c in engine.outputs} if engine is not None else set()
+    held = set(engine.structure.supports) if engine is not None else set()
+    nodes = [n for p in places if p.kind not in ("channel", "global", "system") for n in (p.id, p.to) if n is not None]
+    return [n for n in dict.fromkeys(nodes) if n not in heard and n not in held and n != "ground"]
+
+
+def _nodes(names: Sequence[str]) -> str:
+    return f"node{'s' if len(names) > 1 else ''} {_listed(names)}"

@@ -65,6 +65,11 @@ class NonlinearMechanism(Mechanism):
     def at(self, site: Site, place: Place, variant: str) -> Term:
         """The law at a place of the structure of `site`; ConfigError if it has no such motion."""
         axis = variant.lstrip("-")
+        if not axis:
+            raise ConfigError(
+                f"mechanism {self.id!r} at {place}: key variant is missing; it gives the direction of the motion, one"
+                " of x, y, z, rx, ry, rz, with a leading minus where a stop is on the other side"
+            )
         sign = -1.0 if variant.startswith("-") else 1.0
         if place.to is None:
             found = site.rows(place.id, (axis,))

@@ -21,7 +21,7 @@ from labnnum.diagnosis.verdict import Named
 from labnnum.mechanisms.base import Place, Term
 from sessions.model import Model
 from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, fixed, svg
-from sessions.report.nonlinear import SHOWN, levels_section, nonlinear_section
+from sessions.report.nonlinear import SHOWN, errors_table, levels_section, nonlinear_section
 from sessions.report.numbers import percent, with_error
 from sessions.report.page import _template
 from sessions.report.sections import Section, figure, notes, table
@@ -33,6 +33,16 @@ TITLES = {
     "missing-physics": ("The model lacks physics.", "doubt"),
     "measurement-fault": ("The measurement chain has a fault.", "doubt"),
     "unexplained": ("Something is missing that the catalogue does not name.", "doubt"),
+}
+
+
+ORDINARY = ": the ordinary errors of mesh, damping and mounting."
+REMAINS = {
+    "consistent": ORDINARY,
+    "parameters": ORDINARY,
+    "missing-physics": ": errors of mesh, damping and mounting, or something else beside what was named.",
+    "measurement-fault": ": errors of mesh, damping and mounting, or something else beside what was named.",
+    "unexplained": ", and nothing that was tried explains it.",
 }
 
 
@@ -48,17 +58,23 @@ def write_page(path: Path, model: Model, d: Diagnosis) -> Path:
         rivals_section(d),
     ]
     made += [parameters_section(model, d), next_section(d)]
+    judged = "held-out" if d.held_apart else "fitted"
     facts = [
-        (percent(d.base_error[1]), "held-out error before"),
-        (percent(d.extended_error[1]), "held-out error after"),
+        (percent(d.base_error[1]), f"{judged} error before"),
+        (percent(d.extended_error[1]), f"{judged} error after"),
         (percent(d.noise_floor), "noise"),
     ]
     text = _template().render(
-        title=f"Diagnosis: {model.path.stem}", date=time.strftime("%Y-%m-%d %H:%M"), verdict=TITLES[d.verdict],
+        title=f"Diagnosis: {_name(model.path)}", date=time.strftime("%Y-%m-%d %H:%M"), verdict=TITLES[d.verdict],
         facts=facts, sections=[s for s in made if s is not None], version=__version__,
     )  # fmt: skip
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def _name(path: Path) -> str:
+    """What a model is called: as its file, or as the folder where that is a model.toml like any other."""
+    return path.stem if path.stem != "model" else path.resolve().parent.name or path.stem
 
 
 def answer_section(d: Diagnosis) -> Section:
@@ -144,12 +160,7 @@ def fit_section(d: Diagnosis) -> Section:
     test = d.detail["test"]
     body = Markup("<p>Held-out data: neither model was fitted to them. Each may trim its natural frequencies and loads"
                   " within two standard deviations of what a sound model needs.</p>")  # fmt: skip
-    rows = [
-        ["base (parameters updated)", percent(d.base_error[0]), percent(d.base_error[1])],
-        ["extended", percent(d.extended_error[0]), percent(d.extended_error[1])],
-        ["noise floor", "", percent(d.noise_floor)],
-    ]
-    body += table(["model", "error, training", "error, held out"], rows, (1, 2))
+    body += errors_table(d)
     for o in range(min(len(test.outputs), SHOWN)):
         body += figure(response_figure(d, o), f"{test.outputs[o].name} over {test.inputs[0].name}")
     return Section("fit", "Before and after", body)
@@ -314,5 +325,5 @@ def next_section(d: Diagnosis) -> Section | None:
     lines = [d.next_experiment] if d.next_experiment else []
     left = d.extended_error[1] / d.noise_floor if d.noise_floor > 0 else float("nan")
     if np.isfinite(left) and left > 2:
-        lines.append(f"What remains is {left:.3g} times the noise: the ordinary errors of mesh, damping and mounting.")
+        lines.append(f"What remains is {left:.3g} times the noise{REMAINS[d.verdict]}")
     return Section("next", "What to measure next", notes(lines, "fine")) if lines else None

@@ -60,19 +60,27 @@ def levels_section(d: Diagnosis) -> Section | None:
     body = Markup("<p>{}</p>").format(
         "The FRF that each run measured, and what the models make of the same input"
         + (": the laws are simulated in time at that run's level. " if with_laws else ". ")
-        + "One run a level; those marked as held out were not fitted to. Below: what each model leaves of it."
+        + "One run a level; "
+        + ("those marked as held out were not fitted to. " if d.held_apart else "all were fitted, none was held out. ")
+        + "Below: what each model leaves of it."
     )
-    rows = [
-        ["base (parameters updated)", percent(d.base_error[0]), percent(d.base_error[1])],
-        ["extended", percent(d.extended_error[0]), percent(d.extended_error[1])],
-        ["noise floor", "", percent(d.noise_floor)],
-    ]
-    body += table(["model", "error, training", "error, held out"], rows, (1, 2))
+    body += errors_table(d)
     outputs = base[0].run.outputs
     for o in range(min(len(outputs), SHOWN)):
         drawn = levels_figure(base, extended, o, shown, n_train)
         body += figure(drawn, f"{outputs[o].name} over {base[0].run.input.name}")
     return Section("fit", "Before and after, level by level", body)
+
+
+def errors_table(d: Diagnosis) -> Markup:
+    """Errors of base and extended model, over what was fitted and what was held out."""
+    kinds = {"base (parameters updated)": d.base_error, "extended": d.extended_error}
+    rows = [
+        [kind, percent(error[0]), percent(error[1]) if d.held_apart else "none was"] for kind, error in kinds.items()
+    ]
+    return table(
+        ["model", "error, training", "error, held out"], [*rows, ["noise floor", "", percent(d.noise_floor)]], (1, 2)
+    )
 
 
 def each_level(runs: Sequence[tuple[float, bool]], same: float = 1.1) -> list[int]:

@@ -53,10 +53,13 @@ def percent(value: float, digits: int = 2) -> str:
 
     Examples
     --------
-    >>> percent(0.01234), percent(float("nan"))
-    ('1.2 %', '–')
+    >>> percent(0.01234), percent(1.0712), percent(float("nan"))
+    ('1.2 %', '107 %', '–')
     """
-    return f"{100 * value:.{digits}g} %" if math.isfinite(value) else "–"
+    if not math.isfinite(value):
+        return "–"
+    text = f"{100 * value:.{digits}g}"
+    return f"{100 * value:.0f} %" if "e+" in text else f"{text} %"
 
 
 def pretty_unit(unit: str) -> str:

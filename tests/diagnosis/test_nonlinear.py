@@ -346,6 +346,18 @@ def test_a_law_between_two_masses_is_located_named_and_measured(law, p, name, va
     assert "held out" in page
 
 
+def test_two_levels_without_a_repetition_are_both_fitted():
+    """The loud one held out, all that is fitted would be linear, and a place was blamed that has nothing."""
+    quiet, loud = runs([Element("cubic", joint_23(), (1e4,))], chain(), levels=(0.3, 9.0))[::2]
+    found = diagnose(chain(), [quiet, loud])
+    assert [(n.term.mechanism.id, str(n.place)) for n in found.named] == [("cubic-stiffness", "joint 2-3")]
+    assert found.named[0].value[0] == pytest.approx(1e4, rel=0.03)
+    assert not found.held_apart
+    assert "since no run was held out" in found.as_dict()["fit"]["metric"]
+    assert "None was left to be held out" in found.summary
+    assert "none was held out" in str(levels_section(found).body)
+
+
 @pytest.mark.parametrize("dry", [0.0, 3.0])
 def test_dry_friction_beside_a_slider_is_found_where_it_acts_and_only_there(dry):
     structure, column = chain(), joint_23()

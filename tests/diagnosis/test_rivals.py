@@ -292,4 +292,4 @@ def test_a_rival_is_told_once_at_a_place_and_with_the_laws_beside_it():
     said = decision._alternatives(best, rivals, Limits())
     assert [(a.term.mechanism.id, str(a.term.place)) for a in said] == [("stick-slip", "joint 2-3")] * 2
     assert said[0].why_not.startswith("beside stick-slip at ground 1 it explains as well as stick-slip at ground 4")
-    assert said[1].why_not == "leaves 300 more than stick-slip at ground 4"
+    assert said[1].why_not == "leaves 300 more in chi-square than stick-slip at ground 4"

@@ -5,7 +5,7 @@ import pytest
 
 from labnnum.diagnosis.nonlinear.run import settled
 from labnnum.diagnosis.observe import Observation
-from labnnum.diagnosis.runs import CLEARER, kept_back
+from labnnum.diagnosis.runs import CLEARER, kept_back, kept_from_law
 from labnnum.frf import Frf
 from tests.diagnosis.test_nonlinear import FORCE, OUTPUTS
 
@@ -35,6 +35,17 @@ def test_the_last_of_a_level_is_held_out_unless_it_alone_shows_the_law(odd, even
 
 def test_without_a_repetition_the_last_run_is_held_out():
     assert kept_back([seen(1.0, 0.0), seen(3.0, 0.0), seen(9.0, 40.0)]) == {2}
+
+
+@pytest.mark.parametrize(
+    ("levels", "kept"), [((1.0, 9.0), set()), ((9.0, 1.0, 3.0), {2}), ((1.0, 2.0, 4.0, 8.0), {2}), ((1.0,), set())]
+)
+def test_the_loudest_of_levels_that_were_not_repeated_is_fitted_to_a_law(levels, kept):
+    assert kept_from_law([seen(level, 0.0) for level in levels]) == kept
+
+
+def test_of_levels_that_were_repeated_one_each_is_held_out_of_a_law():
+    assert kept_from_law([seen(level, 0.0) for level in (1.0, 1.0, 9.0, 9.0, 9.0)]) == {1, 4}
 
 
 def periods(n, error, size=400, seed=2):

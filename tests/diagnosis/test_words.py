@@ -2,10 +2,14 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from labnnum.diagnosis.nonlinear.detect import restless, steadier
+from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.mechanisms.base import Place
+from labnnum.recording import Channel
 
 
 def _named(misfit, orbits=(None,), shown=0.019):
@@ -21,7 +25,7 @@ def _named(misfit, orbits=(None,), shown=0.019):
     law = SimpleNamespace(named=(one,), misfit=misfit, equal=(), laws=laws, **errors)
     return SimpleNamespace(
         verdict="missing-physics", named=(one,), place=place, alternatives=(), base_error=(0.5, 0.5),
-        extended_error=(0.02, 0.02), noise_floor=0.001, creep=None, detail={"nonlinear": law},
+        extended_error=(0.02, 0.02), noise_floor=0.001, creep=None, detail={"nonlinear": law}, held_apart=True,
     )  # fmt: skip
 
 
@@ -49,3 +53,76 @@ def test_what_to_do_about_a_channel(mechanism, said):
     d = _named(0.8)
     d.named[0].term.mechanism = SimpleNamespace(id=mechanism, domain="channel")
     assert said in next_experiment(d, ())
+
+
+def test_where_nothing_was_held_out_it_is_not_called_so():
+    d = _named(0.8)
+    assert "The held-out error falls from 50 % to 2 %" in summarise(d)
+    d.held_apart = False
+    said = summarise(d)
+    assert "held-out error" not in said
+    assert "all of which were fitted, falls from 50 % to 2 %" in said
+
+
+def _unexplained(place, located=(), rivals=(), sensors=("1", "3")):
+    laws = [SimpleNamespace(term=SimpleNamespace(mechanism=SimpleNamespace(id=i), place=p)) for i, p in rivals]
+    outputs = [Channel(f"a{n}", "acceleration", "response", n, "x") for n in sensors]
+    engine = SimpleNamespace(outputs=outputs, structure=SimpleNamespace(supports=("0",)), finer=None)
+    return SimpleNamespace(
+        verdict="unexplained", place=place, located=located, alternatives=laws, named=(),
+        detail={"engine": engine, "reason": "no law fits"},
+    )  # fmt: skip
+
+
+GROUND_2, GROUND_3, JOINT = Place("ground", "2"), Place("ground", "3"), Place("joint", "1", "3")
+
+
+@pytest.mark.parametrize(
+    ("place", "rivals", "said", "unsaid"),
+    [
+        (GROUND_2, [("a", GROUND_2), ("b", GROUND_2)], "Add a sensor at node 2, and", "tell"),
+        (GROUND_2, [("a", GROUND_2), ("b", GROUND_3)], "at node 2 to tell a at ground 2 from b at ground 3", "3 to"),
+        (GROUND_3, [("a", GROUND_3), ("b", GROUND_3)], "There are sensors at ground 3 already", "Add"),
+        (JOINT, [("a", JOINT), ("b", JOINT)], "There are sensors at joint 1-3 already", "Add"),
+        (Place("support", "0"), [], "There are sensors", "Add"),
+        (Place("global", "structure"), [], "Nothing tells where it acts", "whole"),
+        (Place("channel", "a1"), [], "Exchange the cable", "Add"),
+    ],
+)
+def test_a_sensor_is_asked_for_where_there_is_none(place, rivals, said, unsaid):
+    text = next_experiment(_unexplained(place, rivals=rivals), ())
+    assert said in text
+    assert unsaid not in text
+
+
+@pytest.mark.parametrize(("share", "many"), [(0.96, True), (0.90, False)])
+def test_what_many_places_explain_alike_is_not_put_at_one(share, many):
+    others = tuple((Place("ground", str(i)), share) for i in range(3, 9))
+    said = summarise(_unexplained(GROUND_2, ((GROUND_2, 0.97), *others)))
+    assert said.startswith("Something is missing at ground 2")
+    assert ("or spread over all of them" in said) is many
+
+
+CHANNELS = tuple(Channel(f"a{n}", "acceleration", "response", n, "x") for n in ("1", "3"))
+FORCE = Channel("f", "force", "reference", "3", "x")
+
+
+def _repeated(label, level, scatter, own=1e-3):
+    """A run whose periods differ by a part `scatter` of the response, and by the sensors' own noise."""
+    y = level * np.ones((2, 50), complex)
+    noise = np.full((2, 50), ((scatter * level) ** 2 + own**2) / 5)
+    on = np.ones(50, bool)
+    run = Run(1.0, 98, y[0], y, noise, on, level, label, CHANNELS, FORCE, 5)
+    return SimpleNamespace(run=run, label=label, level=level)
+
+
+def test_runs_that_do_not_repeat_are_told_and_left_out_where_a_louder_one_repeats():
+    quiet, middle, loud = _repeated("quiet", 0.01, 0.0), _repeated("middle", 1.0, 0.2), _repeated("loud", 10.0, 0.0)
+    assert quiet.run.unsure[0] > (0.03 * 1.0) ** 2 / 5  # noisy, as quiet runs are: no sign of anything
+    assert list(restless([quiet, middle, loud])) == [1]
+    assert steadier([quiet, middle, loud]) == [quiet, loud]
+    assert steadier([quiet, middle]) == [quiet, middle]  # nothing else shows what it shows
+    d = _unexplained(GROUND_2)
+    assert "The response of middle (by 20 %) differs from period to period" in summarise(d, [quiet, middle, loud])
+    assert "settle for longer before recording middle" in next_experiment(d, [quiet, middle, loud])
+    assert "period to period" not in summarise(d, [quiet, loud])

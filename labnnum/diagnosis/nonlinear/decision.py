@@ -201,6 +201,8 @@ def decide(
         linear = linearised(found, last.made, orbits, (*train, *test), scatter, known=n_train)
     gained = misfit < HALF * base.data_part / base.count and reason not in (UNCONFIRMED, USELESS)
     alternatives = _alternatives(best, rivals, limits)
+    if reason and best.name in MECHANISMS:
+        alternatives = (_unnamed(best, reason), *alternatives)
     located = _located(found, equal)
     if told(timed, limits):
         located = tuple((t.spot.place, t.share) for t in timed[:10])
@@ -394,8 +396,12 @@ def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple
     for t in list(near.values())[:6]:
         gap = t.cost - best.cost
         name = f"{best.name} at {best.spot.place}"
-        equal = gap < limits.name
-        why = f"explains as well as {name} (chi-square + {gap:.1f})" if equal else f"leaves {gap:.0f} more than {name}"
+        if gap < -limits.name:
+            why = f"leaves {-gap:.3g} less in chi-square than {name}"
+        elif gap < limits.name:
+            why = f"explains as well as {name} (chi-square {gap:+.1f})"
+        else:
+            why = f"leaves {gap:.3g} more in chi-square than {name}"
         if t.more:
             others = " and ".join(f"{q.name} at {q.spot.place}" for q in t.more)
             why = f"beside {others} it {why}"
@@ -403,6 +409,12 @@ def _alternatives(best: Tried, rivals: Sequence[Tried], limits: Limits) -> tuple
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
         out.append(Alternative(term, float("nan"), t.cost, why))
     return tuple(out)
+
+
+def _unnamed(best: Tried, reason: str) -> Alternative:
+    """The best law, which has no name for a reason: the others are compared with it."""
+    term = MECHANISMS[best.name].term(best.spot.place, best.spot.axis, best.spot.column)
+    return Alternative(term, float("nan"), best.cost, f"comes nearest; {reason}")
 
 
 def _located(found: Study, equal: Equals | None) -> tuple[tuple[Place, float], ...]:

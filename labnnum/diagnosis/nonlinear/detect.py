@@ -61,6 +61,39 @@ def repeating(train: Sequence[Observation], test: Sequence[Observation]) -> tupl
     return kept if len(kept[0]) > 1 and (kept[1] or not test) else (list(train), list(test))
 
 
+RESTLESS, MORE = 0.03, 3.0
+"""What neighbouring periods of a response differ by, relative RMS, from which on a run is told not to repeat; and how
+many times what the steadiest run differs by, of the response and in the sensors' own units: their noise does not grow
+with level.
+"""
+
+
+def restless(observations: Sequence[Observation]) -> dict[int, float]:
+    """Number of the observation -> relative RMS difference of its response from period to period, of those that do not
+    repeat though others do: they have not settled, or wander between steady states for ever.
+    """
+    repeated = {i: o.run for i, o in enumerate(observations) if o.run is not None and o.run.lasting}
+    repeated = {i: r for i, r in repeated.items() if np.isfinite(r.noise).all()}
+    runs = list(repeated.values())
+    if len({r.outputs for r in runs}) != 1 or len(runs) < 2:
+        return {}
+    power = np.array([r.n_periods * np.sum(r.noise[:, r.compared], axis=1) for r in runs])
+    share = np.sqrt([np.median(r.n_periods * r.unsure) for r in runs])
+    own = np.median(np.sqrt(power / np.maximum(power.min(axis=0), 1e-300)), axis=1)
+    moving = (share > max(RESTLESS, MORE * float(share.min()))) & (own > MORE)
+    return {i: float(s) for i, s, m in zip(repeated, share, moving, strict=True) if m}
+
+
+def steadier(observations: Sequence[Observation]) -> list[Observation]:
+    """The runs without those that do not repeat, where one at least as loud repeats: it shows as much, and the mean of
+    what wanders is no steady state.
+    """
+    moving = restless(observations)
+    still = [o for i, o in enumerate(observations) if i not in moving]
+    loudest = max((o.level for o in still), default=0.0)
+    return still if all(observations[i].level <= loudest for i in moving) else list(observations)
+
+
 def _apart(o: Observation) -> float:
     """RMS of what noise leaves in the mean over periods, of the response, the middle one of the channels."""
     if o.run is None or not np.isfinite(o.run.noise).all():

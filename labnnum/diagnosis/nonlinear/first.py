@@ -39,7 +39,7 @@ from labnnum.diagnosis.nonlinear.decision import (
     USELESS,
     NonlinearAnswer,
 )
-from labnnum.diagnosis.nonlinear.detect import CHANGE
+from labnnum.diagnosis.nonlinear.detect import CHANGE, steadier
 from labnnum.diagnosis.nonlinear.effort import counted
 from labnnum.diagnosis.nonlinear.explore import MISLED, NOISY, STRAINED, calmed
 from labnnum.diagnosis.nonlinear.fast import held_fast
@@ -92,10 +92,10 @@ def nonlinear_first(
     is taken off. The linear search (`again`) runs on FRFs from which the law's share is taken. Where it names a fault
     of a channel, that is taken off the spectra and the law is sought once more.
     """
-    from labnnum.diagnosis.runs import kept_back
+    from labnnum.diagnosis.runs import kept_from_law
 
-    usable, held_out = ([mended(o, held) for o in some] for some in (gate.usable, held_out))
-    kept = set() if held_out or len(usable) < 2 else kept_back(usable)
+    usable, held_out = ([mended(o, held) for o in some] for some in (steadier(gate.usable), held_out))
+    kept = set() if held_out else kept_from_law(usable)
     train = [o for i, o in enumerate(usable) if i not in kept]
     test = list(held_out) or [usable[i] for i in sorted(kept)]
     nearly = 0.0

@@ -51,7 +51,7 @@ def merged(
         alternatives=source.alternatives, located=source.located, base_error=source.base_error,
         extended_error=source.extended_error, nonlinear=nonlinear, detail=detail,
     )  # fmt: skip
-    return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown))
+    return replace(shown, next_experiment=next_experiment(shown, observations), summary=summarise(shown, observations))
 
 
 def _halfway(found: NonlinearAnswer) -> bool:

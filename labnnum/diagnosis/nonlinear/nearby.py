@@ -16,6 +16,8 @@ from labnnum.mechanisms.base import Place
 ROUNDS, OTHERS, ALMOST = 3, 4, 0.9
 """How often a law moves on; places at which it is tried each time, at most; and the part of what its force removes
 where it is that the force must remove there."""
+CLOSE = 1.5
+"""Cost, of the best so far, up to which a law at another place is carried on: there it has only begun."""
 SOUND = 4.0
 """Times what noise leaves, up to which a law leaves nothing."""
 
@@ -39,7 +41,7 @@ def moved(
     if best is None:
         return []
     out: list[Tried] = []
-    seen: set[tuple[Place, str]] = {best.spot.where}
+    seen: set[tuple[Place, str]] = set()  # the law may come back to where it was, with what it learnt elsewhere
     for _ in range(ROUNDS):
         if best.made.data_part < noise * best.made.count:
             break
@@ -50,8 +52,11 @@ def moved(
         seen |= {q.spot.where for q in fresh}
         made = [wide.carry_on(t, STEPS, last=False) if t.cost < FAR * best.cost else t for t in made]
         first = min(made, key=lambda t: t.cost, default=best)
+        if first.cost >= CLOSE * best.cost:
+            break
+        first = wide.carry_on(first, SETTLED, last=False)
+        out.append(first)
         if first.cost >= best.cost:
             break
-        best = wide.carry_on(first, SETTLED, last=False)
-        out.append(best)
+        best = first
     return out
