@@ -95,7 +95,7 @@ def diagnose(
     if span is not None:
         train, test = train.lines(*span), test.lines(*span)
     if train.frequency.size < 8:
-        raise EstimationError(f"only {train.frequency.size} lines are left to compare the model with; 8 are needed")
+        raise EstimationError(_too_few(train.frequency.size, gate.usable, span))
     band = (float(train.omega[0]), float(train.omega[-1]))
     if len(train.inputs) > len(train.outputs):
         scatter = by_hand(scatter)
@@ -143,6 +143,16 @@ def diagnose(
         raw = split_runs(gate.usable, held_out)
         raw = raw if span is None else (raw[0].lines(*span), raw[1].lines(*span))
     return decide(engine, train, test, selection, scatter, limits, observations, general, gated, raw)
+
+
+def _too_few(n: int, observations: Sequence[Observation], span: tuple[float, float] | None) -> str:
+    """Why there are too few lines, and what to look at."""
+    labels = ", ".join(o.label for o in observations)
+    band = "" if span is None else f" between {span[0]:.4g} and {span[1]:.4g} Hz"
+    said = f"{labels}: only {n} lines{band} are left to compare the model with, and 8 are needed"
+    if any(o.kind == "periodic" for o in observations):
+        said += "; if the force does not repeat after `period` samples, channels.toml has the wrong period"
+    return said
 
 
 def by_hand(scatter: Scatter) -> Scatter:

@@ -30,13 +30,11 @@ def calibrate_diagnosis(
     import json
     from dataclasses import asdict
 
-    from rich.console import Console
-
     from sessions.calibrate_diagnosis import calibrate
+    from sessions.commands.printing import stages
 
-    console = Console(stderr=True)
-    with console.status("reading") as status:
-        made = calibrate(repeats, model, rig, channels, progress=lambda text: status.update(text))
+    with stages("reading") as tell:
+        made = calibrate(repeats, model, rig, channels, progress=tell)
     if as_json:
         typer.echo(json.dumps({"scatter": asdict(made.scatter), "limits": asdict(made.limits), "gains": made.gains}))
         return

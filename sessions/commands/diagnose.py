@@ -41,22 +41,20 @@ def diagnose(
     """
     import json
 
-    from rich.console import Console
-
     from labnnum.errors import FileError
+    from sessions.commands.printing import stages
     from sessions.diagnose import diagnose_files
     from sessions.diagnose_modes import diagnose_modal_file, is_modal_table
 
     if out.exists() and not out.is_dir():
         raise FileError(f"{out}: is a file; --out names a folder for the answer")
-    console = Console(stderr=True)
     if any(is_modal_table(path) for path in recordings):
         if len(recordings) > 1:
             raise FileError(f"{recordings[0]}: a table of natural frequencies is diagnosed alone; give one file")
         content = diagnose_modal_file(recordings[0], model, out)
         typer.echo(json.dumps(content) if as_json else f"verdict: {content['verdict']}\n{content['summary']}")
         return
-    with console.status("reading") as status:
+    with stages("reading") as tell:
         content = diagnose_files(
             recordings,
             model,
@@ -64,7 +62,7 @@ def diagnose(
             held_out or (),
             channels,
             rig,
-            progress=lambda text: status.update(text),
+            progress=tell,
             mechanisms=mechanism or (),
         )
     if as_json:

@@ -27,6 +27,40 @@ def bar(what: str) -> Generator[Progress]:
         yield lambda done, total: shown.update(task, completed=done, total=total)
 
 
+SPARSE = 5.0
+"""s between lines that tell where a command is, at least, where standard error is no terminal."""
+
+
+@contextmanager
+def stages(first: str) -> Generator[Callable[[str], None]]:
+    """What a long command is at and since when: beside a spinner on a terminal, else a line on standard error now and
+    then, so that a log shows that it goes on.
+    """
+    import time
+
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    began = last = time.monotonic()
+
+    def line(text: str) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= SPARSE:
+            last = now
+            sys.stderr.write(f"labnnum: {now - began:.0f} s: {text}\n")
+            sys.stderr.flush()
+
+    if not sys.stderr.isatty():
+        yield line
+        return
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Bar(*columns, console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task(first, total=None)
+        yield lambda text: shown.update(task, description=text)
+
+
 def finite(value: Any) -> Any:
     """`value` with numbers that JSON has no word for (NaN, infinity) as null."""
     if isinstance(value, dict):

@@ -63,7 +63,7 @@ def prove(
 
     console = Console(stderr=True)
     if suite == "real":
-        _real(console, recordings, examples, out, only, as_json)
+        _real(recordings, examples, out, only, as_json)
         return
     if suite == "dissertation":
         _dissertation(console, out, jobs, tool, only or [], as_json)
@@ -87,20 +87,19 @@ def prove(
         _show(Console(), found, out)
 
 
-def _real(
-    console: Console, recordings: Path | None, examples: Path, out: Path, only: list[str] | None, as_json: bool
-) -> None:
+def _real(recordings: Path | None, examples: Path, out: Path, only: list[str] | None, as_json: bool) -> None:
     """The real recordings: one table, or its rows as JSON."""
     from rich.console import Console
     from rich.table import Table
 
     from labnnum.errors import ConfigError
+    from sessions.commands.printing import stages
     from sessions.prove.real import SETS, as_dicts, run_real
 
     if recordings is None:
         raise ConfigError("prove real: --recordings is missing; give the folder that holds the real recordings")
-    with console.status("reading") as status:
-        rows = run_real(recordings, examples, out, only or SETS, status.update)
+    with stages("reading") as tell:
+        rows = run_real(recordings, examples, out, only or SETS, tell)
     if as_json:
         _print_json({"rows": as_dicts(rows)})
         return
