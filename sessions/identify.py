@@ -59,6 +59,8 @@ def identify_files(
             for f, z in zip(found.frequency, found.damping_ratio, strict=True)
         ],
         "error": found.error,
+        "beyond_noise": found.structure.error,
+        "clipped": sorted(o.clipped),
         "stable_poles": int(found.stabilisation.stable.sum()),
     }
 

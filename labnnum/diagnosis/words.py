@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labnnum.diagnosis.nonlinear.decision import strays
+from labnnum.diagnosis.nonlinear.decision import KNOWN, strays
 from labnnum.diagnosis.nonlinear.detect import restless
 from labnnum.diagnosis.nonlinear.tie import tightness
 from labnnum.diagnosis.observe import Observation
@@ -57,6 +57,14 @@ def _mesh(d: Diagnosis) -> str:
 
 
 def _found(d: Diagnosis) -> str:
+    known = d.detail.get("nonlinear")
+    if d.verdict in ("consistent", "parameters") and known is not None and known.reason == KNOWN:
+        laws = _listed([f"{t.name} at {t.spot.place}" for t in known.laws])
+        apart = " on data held out" if d.held_apart else ""
+        return (
+            f"With what it holds ({laws}) the model explains the data to {_percent(d.extended_error[1])}{apart},"
+            f" without it to {_percent(d.base_error[1])}; nothing else is missing."
+        )
     if d.verdict == "consistent":
         return (
             f"The nominal model explains the data to {_percent(d.base_error[1])} on data held out; nothing is missing."

@@ -30,12 +30,18 @@ def identify(
     """
     import json
 
+    from sessions.commands.printing import note
     from sessions.identify import identify_files
 
     said = identify_files(recordings, out, channels, low, high, order, modes, only)
     if as_json:
         typer.echo(json.dumps(said))
         return
-    typer.echo(f"{said['model']}: {len(said['modes'])} modes of {said['recording']}, error {100 * said['error']:.2g} %")
+    error = f"error {100 * said['error']:.2g} %"
+    if said["beyond_noise"] > 0:
+        error += f", {100 * said['beyond_noise']:.2g} % of it beyond noise (structure.error)"
+    typer.echo(f"{said['model']}: {len(said['modes'])} modes of {said['recording']}, {error}")
+    if said["clipped"]:
+        note(f"{said['recording']}: {', '.join(said['clipped'])} clips; modes from it are not to be trusted")
     for m in said["modes"]:
         typer.echo(f"{m['frequency']:12.4f} Hz {100 * m['damping_ratio']:8.3f} %")

@@ -110,6 +110,7 @@ def test_the_diagnosis_knows_the_law_that_the_model_holds(folder):
     )
     assert held["verdict"] in ("consistent", "parameters"), held["summary"]
     assert held["fit"]["extended"]["held_out"] < 0.3 * without["fit"]["base"]["held_out"]
+    assert held["summary"].startswith("With what it holds (cubic-stiffness at joint 1-2) the model explains the data")
     assert "cubic-stiffness" in (folder / "b/extended.toml").read_text()  # it is not lost on the way
 
 
@@ -146,4 +147,11 @@ def test_a_number_of_sliders_that_cannot_be_is_refused(tmp_path, many):
     path = tmp_path / "model.toml"
     path.write_text(MODEL + SLIDERS % many)
     with pytest.raises(ConfigError, match=f"'sliders' is {many}; give a whole number, 1 to 8"):
+        read_model(path)
+
+
+def test_a_law_without_a_direction_names_the_key(tmp_path):
+    path = tmp_path / "model.toml"
+    path.write_text(MODEL + SLIDERS.replace('variant = "x"\n', "") % "5")
+    with pytest.raises(ConfigError, match=r"'stick-slip' at joint 1-2: key variant is missing"):
         read_model(path)
