@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from labnnum.diagnosis.nonlinear import nearby
+from labnnum.diagnosis.nonlinear.bench import tried_fit
 from labnnum.diagnosis.nonlinear.beside import left_alone
 from labnnum.diagnosis.nonlinear.clamps import giving, nearer_to
 from labnnum.diagnosis.nonlinear.explore import LAWS, engine_start, looked
@@ -15,7 +17,7 @@ from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.nearby import SOUND, heard, moved
 from labnnum.diagnosis.nonlinear.slack import BRIEF, SETTLED, slackened
-from labnnum.diagnosis.nonlinear.tempered import contest
+from labnnum.diagnosis.nonlinear.tempered import _unbent, contest
 from labnnum.diagnosis.nonlinear.weighed import clear
 from labnnum.diagnosis.observe import observe_all
 from labnnum.diagnosis.places import places_of
@@ -127,3 +129,59 @@ def test_what_the_base_leaves_of_all_runs_by_itself():
         band = bench.engine.band[0] / (2 * np.pi), bench.engine.band[1] / (2 * np.pi)
         left.append(left_alone(bench.engine, SimpleNamespace(train=observed), bench.scatter, band))
     assert left[0] < 2.0 < 50.0 < left[1]
+
+
+class Table:
+    """A bench whose fits cost what a table says: place -> costs, one after the other."""
+
+    def __init__(self, **costs):
+        self.costs = {place: list(some) for place, some in costs.items()}
+        self.asked = []
+
+    def fit(self, place):
+        made = SimpleNamespace(data_part=self.costs[place][0], count=1, bare=1, x=np.zeros(1))
+        return SimpleNamespace(cost=self.costs[place].pop(0), made=made, spot=SimpleNamespace(where=place, place=place))
+
+    def direct(self, bases, lead, steps, soften):
+        self.asked.append(lead.spot.where)
+        return self.fit(lead.spot.where)
+
+    def carry_on(self, one, steps, last):
+        return self.fit(one.spot.where) if self.costs[one.spot.where] else one
+
+
+@pytest.mark.parametrize(
+    ("a", "asked", "best"),
+    [
+        ((9.0, 3.0, 2.0, 1.0), ["b", "a"], "a"),  # it comes back, with what it learnt at b
+        ((9.0, 5.0, 4.9, 4.9), ["b", "a"], "b"),  # there it does no better
+        ((9.0, 8.0), ["b", "a"], "b"),  # and far worse
+    ],
+)
+def test_a_law_may_come_back_with_what_it_learnt_elsewhere(monkeypatch, a, asked, best):
+    wide = Table(a=a, b=(5.0, 4.5, 4.0))
+    elsewhere = {"a": "b", "b": "a"}
+
+    def answered(bench, x, one, every):
+        return [(1.0, SimpleNamespace(spot=SimpleNamespace(where=elsewhere[one.spot.where])))]
+
+    monkeypatch.setattr(nearby, "answered", answered)
+    out = moved(wide, np.zeros(1), [wide.fit("a")], (), 0.0)
+    assert wide.asked == asked
+    assert min(out, key=lambda t: t.cost).spot.place == best
+
+
+def test_a_law_that_its_base_keeps_from_fitting_begins_anew_from_the_nominal_one(dry):
+    bench, _, every = dry
+    narrow = slackened(bench, 0.1)
+    nominal = engine_start(bench.joint([]))
+    right = narrow.direct((nominal,), lead_at(every, "joint 2-3", "coulomb-friction", LIMIT), SETTLED, soften=False)
+    assert _unbent(narrow, nominal, right, SETTLED) is right
+    x = right.made.x.copy()
+    x[1:3] += 0.3  # modes a third too high, where no descent finds back
+    joint = narrow.joint([right.lead])
+    bent = tried_fit(joint, x, [None] * len(bench.runs), right.lead, 1)
+    assert bent.made.data_part > 3 * bent.made.count
+    mended = _unbent(narrow, nominal, bent, SETTLED)
+    assert mended.cost < 0.1 * bent.cost
+    assert mended.made.law(0)[0][0] == pytest.approx(LIMIT, rel=0.2)

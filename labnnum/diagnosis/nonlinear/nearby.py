@@ -55,8 +55,8 @@ def moved(
         if first.cost >= CLOSE * best.cost:
             break
         first = wide.carry_on(first, SETTLED, last=False)
-        out.append(first)
         if first.cost >= best.cost:
             break
         best = first
+        out.append(best)
     return out

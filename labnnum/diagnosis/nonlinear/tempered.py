@@ -133,9 +133,20 @@ def contest(
         carried: list[Tried] = []
         for t in near:
             racing = on.against(*(one for one in carried if one.named))
-            carried.append(racing.carry_on(t, steps, last=sharp(t) and slack < ROUGH))
+            made = racing.carry_on(t, steps, last=sharp(t) and slack < ROUGH)
+            carried.append(_unbent(racing, x, made, steps))
         near = _nearest(carried, CARRIED if slack else ENDED)
     return Contest(tuple(near), tuple(t for t in pairs if t.cost < BETTER * near[0].cost))
+
+
+def _unbent(bench: Bench, x: NDArray, t: Tried, steps: int) -> Tried:
+    """A law that a narrower tolerance leaves unfit, or from the base vector `x` and where it is, whichever costs less:
+    with a wide one the base may have gone where the law could not follow.
+    """
+    if t.more or not t.named or t.made.data_part < UNFIT * t.made.count:
+        return t
+    again = bench.against(t).again(x, t, of_fit(t), steps)
+    return again if again is not None and again.cost < t.cost else t
 
 
 def _nearest(tried: list[Tried], most: int) -> list[Tried]:
