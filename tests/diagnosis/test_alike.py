@@ -74,7 +74,8 @@ def test_mirror_images_are_two_places():
 def test_the_summary_names_the_places_that_move_alike():
     place, others = Place("ground", "5"), (Place("ground", "6"), Place("ground", "17"))
     law = SimpleNamespace(equal=others, laws=(SimpleNamespace(spot=SimpleNamespace(place=place)),))
-    told = SimpleNamespace(verdict="unexplained", named=(), place=place, detail={"nonlinear": law, "reason": "why"})
+    said = {"nonlinear": law, "reason": "why"}
+    told = SimpleNamespace(verdict="unexplained", named=(), place=place, detail=said, located=())
     assert "ground 6 and ground 17 move as ground 5 does" in summarise(told)  # type: ignore[arg-type]
     elsewhere = SimpleNamespace(**{**vars(told), "place": Place("ground", "4")})
     assert "move as" not in summarise(elsewhere)  # type: ignore[arg-type]

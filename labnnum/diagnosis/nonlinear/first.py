@@ -386,7 +386,7 @@ class _Whole:
             return found
         if len(found.laws) > 1:
             second = self._retraced(found)
-            found = second if second is not None and total(second) < BETTER * total(found) else found
+            found = second if second is not None and _retraces(second, found) else found
             if not bought(found):
                 return found
         self.progress("searching for linear physics that hides the law")
@@ -568,6 +568,14 @@ CHANNELS = tuple(m for m in CATALOGUE if m.domain == "channel")
 """Mechanisms that are asked for where a law leaves nothing."""
 SAME = 1.1
 """Part of what a law leaves that it may leave where linear physics that it did not know of is in the model."""
+
+
+def _retraces(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
+    """Whether laws fitted from the nominal base take the place of the same as they were found: they leave clearly less,
+    or no more and have their names.
+    """
+    named = bool(second.named) and not found.named
+    return total(second) < (1.0 if named else BETTER) * total(found)
 
 
 def _left(rest: Diagnosis) -> float:
