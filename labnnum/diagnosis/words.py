@@ -82,7 +82,7 @@ def _found(d: Diagnosis) -> str:
     for n in d.named:
         sense = n.term.mechanism.sense(n.term, n.value)
         values = ", ".join(
-            f"{p.name} {v:.4g}{f' ± {s:.2g}' if s else ''} {p.unit if p.unit != '1' else ''}".strip()
+            f"{p.name} {v:.4g}{f' ± {_two(s)}' if s else ''} {p.unit if p.unit != '1' else ''}".strip()
             for p, v, s in zip(n.term.parameters, n.value, n.std, strict=True)
         )
         named = n.term.mechanism.id + (f" ({sense})" if sense else "")
@@ -173,6 +173,11 @@ def _beside(d: Diagnosis) -> str:
         f" In chi-square it leaves {left:.3g} times what noise and ordinary errors do: something else may be missing"
         " beside it, and its parameters may be off by more than their deviations say."
     )
+
+
+def _two(x: float) -> str:
+    """A deviation to two digits: 120, and not 1.2e+02."""
+    return f"{float(f'{x:.2g}'):g}"
 
 
 def _percent(x: float) -> str:
