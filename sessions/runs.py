@@ -289,6 +289,13 @@ class Run:
         broken = jump | (blocks["lost"][1:] > 0) | (blocks["overflow"][1:] > 0) | (blocks["overflow"][:-1] > 0)
         return tuple(int(at) for at in blocks["at"][1:][broken])
 
+    def overload_counts(self) -> tuple[int, ...]:
+        """How often each channel reached the end of its range: blocks of a device, stretches of an import."""
+        blocks = self.blocks
+        own = blocks["overload"].sum(axis=0) if blocks.size else np.zeros(len(self.channels), int)
+        noted = [c for c, _, _ in self._notes("overloads")]
+        return tuple(int(n) + noted.count(i) for i, n in enumerate(own))
+
     def recording(self) -> Recording:
         """All samples in SI units; breaks at gaps and hits; what is no accepted hit, or overflowed, excluded."""
         n, hits, blocks = self.n_samples, self.hits, self.blocks

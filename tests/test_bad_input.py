@@ -327,7 +327,11 @@ def test_what_is_bad_can_be_kept_and_is_marked(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["labnnum", *IMPORT.split(), "--keep-bad"])
     with pytest.raises(SystemExit) as end:
         cli.main()
-    assert not end.value.code, capsys.readouterr().err
+    said = capsys.readouterr()
+    assert not end.value.code, said.err
+    assert "channel 'f' is clipped 12 times, and kept so" in said.err
+    rows = [line.split() for line in run(monkeypatch, capsys, "info out.h5")[2].splitlines()]
+    assert [row[-1] for row in rows if row[:1] == ["f"]] == ["12"]
     from sessions.store import open_session
 
     with open_session(tmp_path / "out.h5") as read:

@@ -81,4 +81,7 @@ def import_(
     for run in held:
         channel_count = plural(len(run["channels"]), "channel")
         typer.echo(f"  {run['index']}  {run['label']}: {channel_count}, {run['duration']:.6g} s")
+        for c in run["channels"]:
+            if c["overloads"]:
+                note(f"{run['label']}: channel {c['name']!r} is clipped {plural(c['overloads'], 'time')}, and kept so")
     typer.echo(f"next: labnnum {'frf' if held else 'info'} {target}")

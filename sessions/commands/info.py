@@ -151,9 +151,9 @@ def _run(run: Run) -> dict[str, Any]:
                 "direction": c.channel.direction,
                 "raw_unit": c.raw_unit,
                 "sensitivity": c.channel.sensitivity,
-                "overloaded_blocks": int(blocks["overload"][:, i].sum()) if blocks.size else 0,
+                "overloads": overloads,
             }
-            for i, c in enumerate(run.stored)
+            for c, overloads in zip(run.stored, run.overload_counts(), strict=True)
         ],
     }
 
@@ -254,7 +254,7 @@ def _run_lines(run: dict[str, Any]) -> list[str]:
         [
             *(c["name"], c["quantity"], c["unit"], c["role"]),
             *(("-" if c["direction"].startswith("-") else "") + c["dof"], c["raw_unit"]),
-            str(c["overloaded_blocks"]) if c["overloaded_blocks"] else "",
+            str(c["overloads"]) if c["overloads"] else "",
         ]
         for c in run["channels"]
     ]

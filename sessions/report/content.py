@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from labnnum.frf import Frf
 from sessions.estimates import StoredEstimate, stored_estimates
 from sessions.runs import Run
@@ -126,7 +124,6 @@ def gather(path: str | os.PathLike[str], extra: Mapping[str, Any] | None = None)
 
 def _run(run: Run) -> RunFacts:
     blocks, names = run.blocks, [c.name for c in run.channels]
-    overloaded = blocks["overload"].sum(axis=0) if blocks.size else np.zeros(len(names), int)
     return RunFacts(
         number=run.index,
         label=run.label.split(": ", 1)[-1],
@@ -139,7 +136,7 @@ def _run(run: Run) -> RunFacts:
         gaps=len(run.gaps()),
         lost=int(blocks["lost"].sum()) if blocks.size else 0,
         overflows=int(blocks["overflow"].sum()) if blocks.size else 0,
-        overloads={name: int(count) for name, count in zip(names, overloaded, strict=True) if count},
+        overloads={name: count for name, count in zip(names, run.overload_counts(), strict=True) if count},
         hits=tuple((hit.index, hit.accepted, hit.reason) for hit in run.hits),
         info=run.info,
     )

@@ -184,9 +184,7 @@ def run_doubts(run: RunFacts) -> list[str]:
         found.append(f"{_count(run.lost, 'frame')} lost, {_count(run.gaps, 'gap')}; nothing was averaged across them")
     if run.overflows:
         found.append(f"the input overflowed in {_count(run.overflows, 'block')}; they were left out")
-    found += [
-        f"channel {name} reached the end of its range in {_count(n, 'block')}" for name, n in run.overloads.items()
-    ]
+    found += [f"channel {name} reached the end of its range {_count(n, 'time')}" for name, n in run.overloads.items()]
     if not run.finished:
         found.append("was cut off; everything before is there")
     elif run.finished.startswith(("abort", "stop")):
