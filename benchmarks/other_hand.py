@@ -4,8 +4,8 @@
 
 Classical Runge-Kutta at forty to eighty steps a sample, a linear-phase filter down to the recorder's rate, noise on
 sensors and force, gains a few tenths of a percent off, masses and springs that differ from the nominal model's. Levels
-are recorded once, as on a bench, and not twice as in the suites. The first eight showed what the tool had wrong and
-were used to mend it; they are no blind test.
+are recorded once, as on a bench, and not twice as in the suites. Like cases showed what the tool had wrong,
+so that this is no blind test.
 """
 
 from __future__ import annotations
