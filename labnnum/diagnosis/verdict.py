@@ -129,9 +129,14 @@ class Diagnosis:
 
     @property
     def held_apart(self) -> bool:
-        """Whether the errors called held out are of data that no fit saw; else they are of those that were fitted."""
+        """Whether the errors called held out are of data that no fit saw; else they are of those that were fitted.
+
+        The linear search always holds some out; a nonlinear one may not, and its errors are told unless the fault is
+        one of the measurement beside which no law was named.
+        """
         found = self.detail.get("nonlinear")
-        return found is None or bool(found.held_out)
+        linear = found is None or (self.verdict == "measurement-fault" and not found.named)
+        return linear or bool(found.held_out)
 
     def as_dict(self) -> dict[str, Any]:
         """The content of diagnosis.json, schema 1."""

@@ -7,6 +7,7 @@ import pytest
 
 from labnnum.diagnosis.nonlinear.detect import restless, steadier
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.diagnosis.verdict import Diagnosis
 from labnnum.diagnosis.words import next_experiment, summarise
 from labnnum.mechanisms.base import Place
 from labnnum.recording import Channel
@@ -62,6 +63,21 @@ def test_where_nothing_was_held_out_it_is_not_called_so():
     said = summarise(d)
     assert "held-out error" not in said
     assert "all of which were fitted, falls from 50 % to 2 %" in said
+
+
+@pytest.mark.parametrize(
+    ("verdict", "named", "held", "apart"),
+    [
+        ("missing-physics", (1,), (), False),
+        ("missing-physics", (1,), (1,), True),
+        ("measurement-fault", (), (), True),  # the errors are the linear search's, which holds some out
+        ("measurement-fault", (1,), (), False),
+    ],
+)
+def test_whose_errors_are_told(verdict, named, held, apart):
+    of = SimpleNamespace(verdict=verdict, detail={"nonlinear": SimpleNamespace(named=named, held_out=held)})
+    assert Diagnosis.held_apart.fget(of) is apart  # type: ignore[attr-defined]
+    assert Diagnosis.held_apart.fget(SimpleNamespace(verdict=verdict, detail={})) is True  # type: ignore[attr-defined]
 
 
 def _unexplained(place, located=(), rivals=(), sensors=("1", "3")):

@@ -46,7 +46,7 @@ RINGS = 1e-4
 thousands of steps."""
 
 
-def discrete(r: Receptance, step: float, top: int, dry: NDArray | None = None) -> Discrete:
+def discrete(r: Receptance, step: float, top: int, dry: NDArray) -> Discrete:
     """The modes of a receptance marched with this step; `top` is the highest excited line, and `dry` (k,) says which
     laws are dry friction.
     """
@@ -72,7 +72,7 @@ def discrete(r: Receptance, step: float, top: int, dry: NDArray | None = None) -
     gz = (pairs @ xq).reshape(k, k, r.s.size) + rest[:, :, None]
     gv = (pairs @ xv).reshape(k, k, r.s.size)
     inner = (w * W1[0]) @ w.T
-    seated = np.zeros(k, bool) if dry is None else dry & (np.diag(rest) > SEATED * np.diag(inner))
+    seated = dry & (np.diag(rest) > SEATED * np.diag(inner))
     own = np.diag(rest) / np.diag(inner) if seated.any() else np.zeros(k)
     inner = inner + rest
     while seated.any() and growth(T, W0, W1, w[seated], inner[np.ix_(seated, seated)]) > 1.0 + RINGS:
