@@ -106,7 +106,7 @@ def test_a_law_for_which_the_base_bends_far_is_tried_elsewhere_from_the_unbent_b
     best = tried(0, 90.0, "best", price)
     best.lead = Lead(SPOTS[0], "quadratic-damping", np.zeros(10), 1.0)
     recovered = [SimpleNamespace(spot=SPOTS[i], gain=1.0) for i in (0, 2, 1, 3, 4)]
-    quiet = SimpleNamespace(x="calm base and motions")
+    quiet = SimpleNamespace(x="calm base and motions", data_part=1.0, count=1)
     found = SimpleNamespace(
         best=best, tried=[best], recovered=recovered, engine=None, point=None, runs=(), quiet=quiet
     )  # fmt: skip
@@ -156,7 +156,7 @@ def test_a_law_that_leaves_much_or_bends_the_base_is_simulated_where_its_force_w
     best = tried(0, left, "best", price)
     best.lead = at(0, 1.0)
     recovered = [SimpleNamespace(spot=s, gain=1.0) for s in SPOTS]
-    quiet = SimpleNamespace(x="calm base and motions")
+    quiet = SimpleNamespace(x="calm base and motions", data_part=1.0, count=1)
     found = SimpleNamespace(
         best=best, tried=[best], recovered=recovered, engine=None, point=None, runs=(), quiet=quiet
     )  # fmt: skip
@@ -194,6 +194,8 @@ def test_a_law_that_leaves_little_for_a_bent_base_is_fitted_again_from_the_calm_
     monkeypatch.setattr(chain, "as_well", lambda found, best, every, scatter: [])
     monkeypatch.setattr(chain, "at_places", lambda found, best, spots, scatter: [])
     monkeypatch.setattr(chain, "_unbent", lambda found, one, every, scatter: [tried(4, 900.0, one.made.x)])
+    strong = []
+    monkeypatch.setattr(chain, "_from_nominal", lambda found, one, every, scatter: strong.append(one) or [])
     best = tried(0, 90.0, "best", 300.0)
     quiet = SimpleNamespace(x="calm base and motions", data_part=left_by_calm, count=100)
     recovered = [SimpleNamespace(spot=SPOTS[0], gain=1.0)]
@@ -205,6 +207,29 @@ def test_a_law_that_leaves_little_for_a_bent_base_is_fitted_again_from_the_calm_
     assert [t.made.x for t in made if t.cost == left] == (["calm"] if again else [])
     bent = [t.made.x for t in made if t.cost == 900.0]
     assert bent == ([] if again and price < 30.0 else ["calm" if again else "best"])
+    assert bool(strong) == (bool(bent) and begins == "nominal")
+
+
+def test_a_strong_law_for_which_the_base_bends_is_begun_elsewhere_from_the_nominal_base(monkeypatch):
+    """Where its force does as well there, until one explains the runs with a base that is not bent."""
+    begun = []
+
+    def relaxed(bench, x, leads):
+        begun.append((x, leads[0].spot.place.id))
+        return {"4": None, "3": tried(3, 90.0, "bent", 300.0), "2": tried(2, 1.0, "sound")}[leads[0].spot.place.id]
+
+    leads = [(1.2, SPOTS[4]), (1.1, SPOTS[3]), (1.1, SPOTS[0]), (1.0, SPOTS[2]), (0.9, SPOTS[1]), (0.1, SPOTS[1])]
+    bench = SimpleNamespace(joint=lambda terms: None)
+    monkeypatch.setattr(chain, "Bench", lambda *args: SimpleNamespace(on=lambda lines: bench))
+    monkeypatch.setattr(chain, "engine_start", lambda joint: "nominal")
+    monkeypatch.setattr(
+        chain, "answered", lambda *args: [(gain, Lead(s, "hysteresis", np.zeros(10), 1.0)) for gain, s in leads]
+    )
+    monkeypatch.setattr(chain, "relaxed", relaxed)
+    found = SimpleNamespace(engine=None, point=None, runs=())
+    made = chain._from_nominal(found, tried(0, 90.0, "best", 300.0), SPOTS, None)
+    assert begun == [("nominal", "4"), ("nominal", "3"), ("nominal", "2")]
+    assert [t.made.x for t in made] == ["bent", "sound"]
 
 
 def test_a_follow_at_a_second_place_is_simulated_whatever_a_simulation_leaves_at_the_first():

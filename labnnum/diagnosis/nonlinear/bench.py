@@ -106,6 +106,8 @@ class Bench:
     """Relative gap of a period, or change from march to march, at which a steady state counts as found."""
     limit: float = np.inf
     """Objective per value above which where a fit ends is of no use: one that falls too slowly for it is given up."""
+    firm: tuple[int, ...] = ()
+    """Numbers of the runs that hold the base: they are given no tolerance."""
 
     def against(self, *tried: Tried) -> Bench:
         """The same for rivals of laws, if there are any: those that leave several times as much as the best of these

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit
 from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
 from labnnum.diagnosis.nonlinear.effort import spent, tired
-from labnnum.diagnosis.nonlinear.elsewhere import as_well
+from labnnum.diagnosis.nonlinear.elsewhere import answered, as_well
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, MISLED, STRAINED, engine_start, looked, nearest
 from labnnum.diagnosis.nonlinear.further import GAIN, further, needed
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 from labnnum.diagnosis.nonlinear.loosen import in_step
+from labnnum.diagnosis.nonlinear.slack import within
 from labnnum.diagnosis.nonlinear.study import FINE, UNSURE, at_places
+from labnnum.diagnosis.nonlinear.tempered import relaxed
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Limits
@@ -154,11 +156,11 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
     have |= {s.where for s in asked}
     made += _moved_on(found, min([best, *made], key=lambda t: t.cost), every, scatter, have, 1 if weary else ROUNDS)
     reached = min([best, *made], key=lambda t: t.cost)
-    bent = reached.made.prior_part > STRAINED * reached.made.n_base
+    bent = _strained(reached)
     if bent and reached.named and reached.simulated and reached.made.data_part < UNSURE * reached.made.count:
         made += _straightened(found, reached, scatter)
         reached = min([best, *made], key=lambda t: t.cost)
-        bent = reached.made.prior_part > STRAINED * reached.made.n_base
+        bent = _strained(reached)
     if (
         reached.named
         and reached.simulated
@@ -166,6 +168,9 @@ def rivals(found: Study, every: Sequence[Spot], scatter: Scatter) -> list[Tried]
         and not weary
     ):
         made += _unbent(found, reached, every, scatter)
+        reached = min([best, *made], key=lambda t: t.cost)
+    if reached.simulated and reached.named and _strained(reached) and not weary and _misled(found):
+        made += _from_nominal(found, reached, every, scatter)
         reached = min([best, *made], key=lambda t: t.cost)
     if not (reached.simulated and reached.named) or reached.made.data_part < UNSURE * reached.made.count or weary:
         return made
@@ -206,8 +211,7 @@ def _straightened(found: Study, one: Tried, scatter: Scatter) -> list[Tried]:
     the nominal one where that level is strongly nonlinear itself; none where that is no better.
     """
     bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES).against(one)
-    misled = found.quiet.data_part > MISLED * found.quiet.count
-    calm = engine_start(bench.joint([])) if misled else found.quiet.x[: one.made.bare]
+    calm = engine_start(bench.joint([])) if _misled(found) else found.quiet.x[: one.made.bare]
     again = bench.again(calm, one, of_fit(one), LONG)
     return [again] if again is not None and again.cost < one.cost else []
 
@@ -229,6 +233,32 @@ def _unbent(found: Study, one: Tried, every: Sequence[Spot], scatter: Scatter) -
     for _, lead in sorted((row for row in moved if row[0] > RIVAL), key=lambda row: -row[0])[:MOVED]:
         out.append(bench.direct((bare,), lead, LONG, soften=False))
     return [t for t in out if t is not None]
+
+
+def _from_nominal(found: Study, one: Tried, every: Sequence[Spot], scatter: Scatter) -> list[Tried]:
+    """A strong law for which the base bends far, at the other spots where its force would do as well beside the nominal
+    base, each from there with a tolerance that narrows; no more of them once one leaves noise and bends no base.
+    """
+    bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(LINES)
+    x = engine_start(bench.joint([]))
+    leads = [q for gain, q in answered(bench, x, one, every) if gain > RIVAL and q.spot.place != one.spot.place]
+    out: list[Tried] = []
+    for lead in leads[:MOVED]:
+        made = relaxed(bench, x, [lead])
+        out += [] if made is None else [made]
+        if out and within(out[-1], UNSURE):
+            break
+    return out
+
+
+def _misled(found: Study) -> bool:
+    """Whether the quietest level is strongly nonlinear itself, so that its base is another structure's."""
+    return found.quiet.data_part > MISLED * found.quiet.count
+
+
+def _strained(one: Tried) -> bool:
+    """Whether the base stands in for something beside a law."""
+    return one.made.prior_part > STRAINED * one.made.n_base
 
 
 ELSEWHERE, MOVED = 3, 4

@@ -36,10 +36,10 @@ BOTH = 10
 
 
 def slackened(bench: Bench, slack: float) -> Bench:
-    """The bench with a tolerance of `slack` of the response around each line."""
-    pairs = zip(bench.runs, bench.lines, strict=True)
-    closing = max(bench.closing, slack / CLOSELY)
-    return replace(bench, lines=tuple(_slackened(run, lines, slack) for run, lines in pairs), closing=closing)
+    """The bench with a tolerance of `slack` of the response around each line of the runs that do not hold the base."""
+    pairs = enumerate(zip(bench.runs, bench.lines, strict=True))
+    lines = tuple(own if i in bench.firm else _slackened(run, own, slack) for i, (run, own) in pairs)
+    return replace(bench, lines=lines, closing=bench.closing if bench.firm else max(bench.closing, slack / CLOSELY))
 
 
 def _slackened(run: Run, lines: Lines, slack: float) -> Lines:

@@ -19,6 +19,7 @@ from labnnum.diagnosis.nonlinear.explore import (
     MISLED,
     NEAR,
     NOISY,
+    STRAINED,
     Prospect,
     engine_start,
     looked,
@@ -100,11 +101,29 @@ def from_afar(seen: Prospect, progress: Callable[[str], None]) -> Prospect:
 
 def _from_afar(seen: Prospect, progress: Callable[[str], None]) -> tuple[list[Tried], tuple[Tried, ...]]:
     bench = seen.bench
-    x = engine_start(bench.joint([])) if seen.misled else seen.calm.x
-    look = partial(looked, bench.joint([]), spots=[q.spot for q in seen.recovered])
+    plain = bench.joint([])
+    x = engine_start(plain) if seen.misled else seen.calm.x
+    look = partial(looked, plain, spots=[q.spot for q in seen.recovered])
     found, leads = look(x)
-    held = contest(bench, x, found, LAWS, leads, progress, look)
+    bent = seen.misled or seen.calm.prior_part > STRAINED * plain.n_base
+    firm = () if bent else explained(bench, x)
+    held = contest(replace(bench, firm=firm), x, found, LAWS, leads, progress, look)
     return with_rounded(bench, list(held.near)), held.pairs
+
+
+def explained(bench: Bench, x: NDArray) -> tuple[int, ...]:
+    """Numbers of the runs of which the base vector `x` alone leaves noise."""
+    out = []
+    for i, (run, lines) in enumerate(zip(bench.runs, bench.lines, strict=True)):
+        one = replace(bench, runs=(run,), lines=(lines,)).joint([])
+        r, b = one.parts(one.start(x), [None])
+        if reduced(r, b)[0] < ALONE * r.size:
+            out.append(i)
+    return tuple(out)
+
+
+ALONE = 1.3
+"""Chi-square per value up to which the base alone explains a run."""
 
 
 def of_known(

@@ -328,7 +328,7 @@ def _promising(
     that leave least first.
     """
     high = int(np.argmax([r.level for r in bench.runs]))
-    loud = slackened(replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],)), slack)
+    loud = slackened(replace(bench, runs=(bench.runs[high],), lines=(bench.lines[high],), firm=()), slack)
     loud = replace(loud, closing=slack / ROUGHLY)
     out: list[tuple[float, Lead]] = []
     for q in found:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.beside import strained
 from labnnum.diagnosis.nonlinear.decision import BENT, BOUGHT, EQUAL, FOUND, MISFIT, NOTHING, USELESS, NonlinearAnswer
 from labnnum.diagnosis.nonlinear.explore import STRAINED
+from labnnum.diagnosis.observe import Observation
+from labnnum.diagnosis.verdict import Diagnosis
 from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.extended import ExtendedStructure
 
@@ -101,3 +105,24 @@ def same_place(a: Place, b: Place) -> bool:
 def explains(found: NonlinearAnswer) -> bool:
     """Whether a law is named that leaves nothing for anything else."""
     return bool(found.named) and found.misfit < EXPLAINED and found.lying is None
+
+
+def retraces(second: NonlinearAnswer, found: NonlinearAnswer) -> bool:
+    """Whether laws fitted from the nominal base take the place of the same as they were found: they leave clearly less,
+    or no more and have their names.
+    """
+    named = bool(second.named) and not found.named
+    return total(second) < (1.0 if named else BETTER) * total(found)
+
+
+def left(rest: Diagnosis) -> float:
+    """What the structure as it is leaves in a linear search."""
+    return float(rest.detail["selection"].chain[0].cost)
+
+
+def doubted_by(rest: Diagnosis, train: Sequence[Observation]) -> int | None:
+    """Number of the response at which the linear search finds what has no name."""
+    if rest.verdict != "unexplained" or rest.place is None or rest.place.kind != "channel":
+        return None
+    names = [c.name for c in train[0].frf.outputs]
+    return names.index(rest.place.id) if rest.place.id in names else None
