@@ -94,7 +94,7 @@ def _found(d: Diagnosis) -> str:
             f" From the first sample to the last all natural frequencies {'rose' if creep.change > 0 else 'fell'} by"
             f" {_percent(abs(creep.change))}; what else is said here holds for the middle of the session."
         )
-    return f"{'; and '.join(parts)}.{told} {_gained(d)}{_astray(d)}{_in_step(d)}{_equal(d)}{_beside(d)}"
+    return f"{'; and '.join(parts)}.{told} {_gained(d)}{_astray(d)}{_in_step(d)}{_equal(d)}{_undecided(d)}{_beside(d)}"
 
 
 MANY, ALIKE = 5, 1.5
@@ -130,6 +130,15 @@ def _equal(d: Diagnosis) -> str:
     others = _listed([str(p) for p in found.equal])
     verb = "move" if len(found.equal) > 1 else "moves"
     return f" In the modes of the band {others} {verb} as {place} does: no measurement there tells which of them it is."
+
+
+def _undecided(d: Diagnosis) -> str:
+    """A further law of which more than one would do."""
+    found = d.detail.get("nonlinear")
+    if found is None or not (found.named and found.undecided):
+        return ""
+    some = " or ".join(f"{name} at {place}" for name, place in found.undecided)
+    return f" Beside what is named acts {some}: the data do not tell which."
 
 
 def _in_step(d: Diagnosis) -> str:

@@ -318,3 +318,19 @@ def test_a_rival_is_told_once_at_a_place_and_with_the_laws_beside_it():
     assert [(a.term.mechanism.id, str(a.term.place)) for a in said] == [("stick-slip", "joint 2-3")] * 2
     assert said[0].why_not.startswith("beside stick-slip at ground 1 it explains as well as stick-slip at ground 4")
     assert said[1].why_not == "leaves 300 more in chi-square than stick-slip at ground 4"
+
+
+def test_what_pairs_that_explain_as_well_have_in_common_is_certain():
+    """And of the others one acts, the best pair's told first."""
+    lead = [Lead(s, "hysteresis", np.zeros(10), 1.0) for s in SPOTS]
+
+    def pair(*at):
+        return Tried(lead[at[0]], SimpleNamespace(), 1.0, more=tuple(lead[i] for i in at[1:]))
+
+    best, other, alone, apart = pair(3, 4), pair(2, 3), pair(3), pair(1, 2)
+    common = decision.shared(best, [other, alone])
+    assert common == {("hysteresis", SPOTS[3].place)}
+    assert decision.apart(best, [other, alone], common) == tuple(("hysteresis", SPOTS[i].place) for i in (4, 2))
+    assert decision.shared(best, [other, apart]) == frozenset()
+    assert decision.shared(pair(3), [pair(3, 4)]) == frozenset()  # one law alone is what it is
+    assert decision.shared(best, []) == frozenset()

@@ -23,7 +23,7 @@ def _named(misfit, orbits=(None,), shown=0.019):
     )  # fmt: skip
     laws = (SimpleNamespace(made=SimpleNamespace(orbits=orbits)),)
     errors = {"shown": shown, "noise": 0.001, "extended_error": (0.02, 0.02)}
-    law = SimpleNamespace(named=(one,), misfit=misfit, equal=(), laws=laws, **errors)
+    law = SimpleNamespace(named=(one,), misfit=misfit, equal=(), undecided=(), laws=laws, **errors)
     return SimpleNamespace(
         verdict="missing-physics", named=(one,), place=place, alternatives=(), base_error=(0.5, 0.5),
         extended_error=(0.02, 0.02), noise_floor=0.001, creep=None, detail={"nonlinear": law}, held_apart=True,
@@ -42,6 +42,14 @@ def test_a_law_that_was_compared_in_step_says_so(tight, said):
     tie = None if tight is None else SimpleNamespace(tight=tight)
     d = _named(0.8, (None, SimpleNamespace(tie=tie)))
     assert ("in step with the motion" in summarise(d)) is said
+
+
+def test_a_further_law_that_may_be_either_of_two_is_told():
+    d = _named(0.8)
+    assert "which" not in summarise(d)
+    d.detail["nonlinear"].undecided = tuple(("quadratic-stiffness", Place("ground", i)) for i in ("4", "3"))
+    said = "Beside what is named acts quadratic-stiffness at ground 4 or quadratic-stiffness at ground 3"
+    assert said in summarise(d)
 
 
 @pytest.mark.parametrize(("shown", "said"), [(0.002, True), (0.019, False), (float("nan"), False)])

@@ -91,6 +91,8 @@ class NonlinearAnswer:
     """The recorder's filter, where one was found: it is off the study's runs, and off those held out."""
     shown: float = float("nan")
     """Error over the runs held out with the laws' forces along the motion that these show, and not simulated."""
+    undecided: tuple[tuple[str, Place], ...] = ()
+    """Laws, by mechanism and place, of which one acts beside those that are named, and nothing tells which."""
 
 
 NAMELESS = "a smooth law that the catalogue does not hold explains it best"
@@ -187,7 +189,11 @@ def decide(
     all_of_it = base.data_part > limits.misfit * base.count and misfit < limits.unsettled
     if max(base_error) < scatter.floor and not all_of_it:
         reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
+    near = [t for t in against if (t.cost - best.cost) / excess < limits.name]
+    common = shared(best, near) if reason == EQUAL and not (found.company or systematic) else frozenset()
+    reason = "" if common else reason
     names = () if reason else _all_named(found, laws, rivals, scatter)
+    names = tuple(n for n in names if not common or (n.term.mechanism.id, n.place) in common)
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
@@ -211,8 +217,19 @@ def decide(
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best, last.made, scatter), found, tuple(laws),
         misfit, plain, noise, extended_error, gained, tuple(orbits), scatter=scatter,
         held_out=tuple(o.run for o in test if o.run is not None), equal=others_of(equal or {}, best.spot),
-        shown=shown,
+        shown=shown, undecided=apart(best, near, common) if common else (),
     )  # fmt: skip
+
+
+def shared(best: Tried, near: Sequence[Tried]) -> frozenset[tuple[str, Place]]:
+    """Laws, by name and place, of the best two or more that all others which explain as well have too."""
+    return best.all_of_it.intersection(*(t.all_of_it for t in near)) if best.more and near else frozenset()
+
+
+def apart(best: Tried, near: Sequence[Tried], common: frozenset[tuple[str, Place]]) -> tuple[tuple[str, Place], ...]:
+    """The other laws of all of these, the best one's first."""
+    every = [(lead.name, lead.spot.place) for t in (best, *near) for lead in (t.lead, *t.more)]
+    return tuple(one for one in dict.fromkeys(every) if one not in common)
 
 
 def strays(found: NonlinearAnswer) -> bool:
@@ -373,7 +390,8 @@ def _all_named(
         n = min(len(mechanism.names), value.size)
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
         term = replace(term, parameters=term.parameters[:n])
-        trust = _confidence(laws[0], rivals) if i == 0 else 0.95
+        others = [r for r in rivals if (t.name, t.spot.place) not in r.all_of_it]
+        trust = _confidence(laws[0], others) if i == 0 else 0.95
         common = scale_std(mechanism.units[:n], value[:n], scatter, max(n_out, 1), based)
         out.append(Named(term, value[:n], np.hypot(std[:n] * np.sqrt(excess), common), trust))
     return tuple(out)
