@@ -7,10 +7,13 @@ import pytest
 
 from labnnum.diagnosis.nonlinear.below import quieter_than, under
 from labnnum.diagnosis.nonlinear.explore import LAWS, calmed, looked
+from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 from labnnum.diagnosis.nonlinear.slack import slackened
 from labnnum.diagnosis.nonlinear.study import explained
 from labnnum.diagnosis.nonlinear.tempered import contest
+from labnnum.diagnosis.nonlinear.whole import on_structure
 from labnnum.diagnosis.observe import observe_all
+from labnnum.mechanisms.base import Place
 from labnnum.nonlinear import Element
 from tests.diagnosis.test_nonlinear import joint_23
 from tests.diagnosis.test_stuck import bench_of
@@ -56,3 +59,16 @@ def test_the_quiet_level_holds_the_base_while_a_strong_law_is_sought(stop):
     assert (best.mechanism, best.spot.place.id, best.spot.place.to) == ("one-sided-gap", "2", "3")
     assert best.made.law(0)[0] == pytest.approx(STOP, rel=0.02)
     assert best.made.data_part < 1.3 * best.made.count
+
+
+def test_a_law_goes_to_the_same_spot_of_a_structure_with_more_motions():
+    here, there = (
+        [Spot(Place("ground", str(i)), "z", np.eye(n)[i]) for i in range(3)] for n in (4, 5)
+    )  # fmt: skip
+    lead = Lead(replace(here[1], axis="-z"), "one-sided-gap", np.ones(10), 1.0)
+    made = on_structure([lead], there)
+    assert made is not None
+    assert made[0].spot.axis == "-z"
+    assert np.array_equal(made[0].spot.column, np.eye(5)[1])
+    assert np.array_equal(made[0].p, lead.p)
+    assert on_structure([lead], [there[0], there[2]]) is None

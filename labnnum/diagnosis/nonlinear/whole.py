@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -325,9 +325,10 @@ class Whole:
         own = base_point(self.engine, parts.train[quietest(runs)], self.scatter, self.band)
         return Bench(self.engine, own, runs, self.scatter, ()), self._spots()
 
-    def _spots(self) -> list[Spot]:
-        """The spots of the structure alone where a law may act."""
-        return spots(self.engine, self.engine.site(self.places.nodes, self.places.elements, self.places.supports))
+    def _spots(self, on: Engine | None = None) -> list[Spot]:
+        """The spots of the structure alone, or of another one, where a law may act."""
+        on = self.engine if on is None else on
+        return spots(on, on.site(self.places.nodes, self.places.elements, self.places.supports))
 
     def from_below(self, found: NonlinearAnswer) -> NonlinearAnswer:
         """The law that the levels below the loudest one show, fitted to all, where what all show leaves too much."""
@@ -388,8 +389,10 @@ class Whole:
             return None
         self.progress("fitting the law with that of the quietest level in the model")
         for on in under.engines if held_of(under.engines[0]) else ():
-            given = Given((tuple(leads_of(found.laws)),), nominal(on, on.theta0), NOISY)
-            second = self._with(under.faults, on, given=given)
+            leads = on_structure(leads_of(found.laws), self._spots(on))
+            if leads is None:
+                continue
+            second = self._with(under.faults, on, given=Given((leads,), nominal(on, on.theta0), NOISY))
             if second is not None and second.named and instead(second, found):
                 self._rid_of(under)
                 return second
@@ -403,3 +406,13 @@ class Whole:
         leads = tuple(leads_of(found.laws))
         engine = found.study.engine
         return self._with((), engine, given=Given((leads,), nominal(engine, engine.theta0), NOISY))
+
+
+def on_structure(leads: Sequence[Lead], every: Sequence[Spot]) -> tuple[Lead, ...] | None:
+    """Laws of one structure at the same spots of another, which may have more motions; None where it lacks one."""
+    there = {(s.place, s.axis): s.column for s in every}
+    columns = [there.get((lead.spot.place, lead.spot.axis.lstrip("-"))) for lead in leads]
+    if any(c is None for c in columns):
+        return None
+    pairs = zip(leads, columns, strict=True)
+    return tuple(replace(lead, spot=replace(lead.spot, column=c)) for lead, c in pairs if c is not None)
