@@ -191,9 +191,10 @@ def decide(
         reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
     near = [t for t in against if (t.cost - best.cost) / excess < limits.name]
     common = shared(best, near) if reason == EQUAL and not (found.company or systematic) else frozenset()
-    reason = "" if common else reason
-    names = () if reason else _all_named(found, laws, rivals, scatter)
-    names = tuple(n for n in names if not common or (n.term.mechanism.id, n.place) in common)
+    names = () if reason and not common else _all_named(found, laws, rivals, scatter)
+    if common:  # a chain that has come by other laws names none of them
+        names = tuple(n for n in names if (n.term.mechanism.id, n.place) in common)
+        reason = "" if names else EQUAL
     place = best.spot.place
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
@@ -217,7 +218,7 @@ def decide(
         tuple(linear[:n_train]), tuple(linear[n_train:]), curves(found, best, last.made, scatter), found, tuple(laws),
         misfit, plain, noise, extended_error, gained, tuple(orbits), scatter=scatter,
         held_out=tuple(o.run for o in test if o.run is not None), equal=others_of(equal or {}, best.spot),
-        shown=shown, undecided=apart(best, near, common) if common else (),
+        shown=shown, undecided=apart(best, near, common) if common and names else (),
     )  # fmt: skip
 
 
