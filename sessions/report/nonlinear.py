@@ -113,8 +113,8 @@ def levels_figure(
     """SVG: FRF and residuals of response `o`, a column a run of `shown`."""
     with matplotlib.rc_context(_STYLE):
         width = max(7.5, 2.2 * len(shown))
-        fig = Figure(figsize=(width, 3.8))
-        margins = {"left": 0.7 / width, "right": 1 - 0.1 / width, "bottom": 0.12, "top": 0.93, "wspace": 0.08}
+        fig = Figure(figsize=(width, 4.0))
+        margins = {"left": 0.7 / width, "right": 1 - 0.1 / width, "bottom": 0.12, "top": 0.88, "wspace": 0.08}
         axes = fig.subplots(
             2, len(shown), sharex="col", sharey="row", squeeze=False, height_ratios=(3, 2), gridspec_kw=margins
         )
@@ -134,7 +134,9 @@ def levels_figure(
             low.set_xlabel("frequency, Hz")
             for ax in (top, low):
                 fixed(ax, -0.55 / (width / len(shown)))
-        axes[0, 0].legend(fontsize=7, loc="upper right")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        at = (0.7 / width, 1.0)
+        fig.legend(handles, labels, ncols=3, fontsize=8, loc="upper left", bbox_to_anchor=at, borderpad=0)
         for ax, name in zip(axes[:, 0], ("|FRF|", "residual"), strict=True):
             ax.set_ylabel(name)
         return svg(fig)
