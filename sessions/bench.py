@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from labnnum.bands import Band
 from labnnum.errors import ConfigError, InputError, LabnnumError, StoreError
 from labnnum.frf import Frf
+from labnnum.quality import coherence_verdicts
 from labnnum.recording import Recording
 from labnnum.sine import tone_frf
 from sessions.calibration import run_info, without_inputs
@@ -252,7 +254,7 @@ def _listen(desk: Desk) -> None:
 def results(session: Session, rig: Rig, plan: Sequence[Item], messages: list[str] | None = None) -> dict[str, Frf]:
     """FRFs of what the session holds, stored unless they are there already: the same hits give the same bits.
 
-    Where data give none, `messages` say why.
+    Where data give none, `messages` say why; and which responses fall short of the coherence that the rig asks for.
     """
     out: dict[str, Frf] = {}
     if rig.toml.excitation.kind == "none":
@@ -267,11 +269,23 @@ def results(session: Session, rig: Rig, plan: Sequence[Item], messages: list[str
         for title, frf in found.items():
             basis = {str(r.index): [h.index for h in r.hits if h.accepted] for r in runs}
             out[title] = _stored(session, title, frf, basis)
+            if messages is not None:
+                messages += [f"{title}: {text}" for text in _incoherent(frf, rig)]
     roved = _assembled(out, rig)
     if roved is not None:
         basis = {"points": {k: f.settings.get("basis") for k, f in out.items()}}
         out["all points"] = _stored(session, "all points", roved, basis)
     return out
+
+
+def _incoherent(frf: Frf, rig: Rig) -> list[str]:
+    """What falls short of `processing.coherence` in the excitation's band, each response with the likely cause."""
+    e = rig.toml.excitation
+    low, high = max(e.low, float(frf.frequency[0])), min(e.high or 0.4 * rig.rate, float(frf.frequency[-1]))
+    if not (low < high and np.any((frf.frequency >= low) & (frf.frequency <= high))):
+        return []
+    found = coherence_verdicts(frf, rig.toml.processing.coherence, [Band(low, high)])
+    return [v.reason for v in found if not v.ok and np.isfinite(v.value)]
 
 
 def _groups(session: Session, plan: Sequence[Item]) -> dict[str, list[Run]]:

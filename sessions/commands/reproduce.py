@@ -12,8 +12,8 @@ def reproduce(
     example: Annotated[
         str,
         typer.Argument(
-            help='truck, kabe, yang, duffing, beam, frame, or one case such as "truck-5-1frf"; control, drift or flags;'
-            " every case where absent.",
+            help='truck, kabe, yang, duffing, beam, frame, or one case such as "truck-5-1frf"; control, drift, flags or'
+            " leakage; every example where absent.",
             show_default=False,
         ),
     ] = "",

@@ -56,6 +56,21 @@ def test_other_excitations(tmp_path, kind):
     assert 0.5 < agreement(rig, found) < (2.5 if kind == "random" else 1.6)
 
 
+def test_a_response_short_of_the_coherence_asked_for_is_told_with_its_cause(tmp_path):
+    """Nothing is said where the coherence is good, or where no limit is set; a noisy channel is named in its band."""
+    random = ('kind = "multisine"', 'kind = "random"\nduration = 20'), ("levels = [0.5, 2.0]", "levels = [1.0]")
+    noisy = ("noise = 0.01", "noise = 2.0")
+    unasked = ("[safety]", "[processing]\ncoherence = 0.0\n[safety]")
+    told = {}
+    for name, changes in {"good": (), "noisy": (noisy,), "unasked": (noisy, unasked)}.items():
+        rig = shaker_rig(tmp_path, *random, *changes)
+        messages = measure(rig, tmp_path / f"{name}.h5").messages
+        told[name] = [m for m in messages if "coherence" in m]
+    assert told["good"] == told["unasked"] == []
+    assert len(told["noisy"]) == 1
+    assert told["noisy"][0].startswith("random 1: coherence of 'a2' from 5 to 350 Hz is 0.")
+
+
 def test_stepped_sine_up_and_down(tmp_path):
     changes = [
         ('kind = "multisine"', 'kind = "stepped sine"\nlines = 12\ndirections = ["up", "down"]'),

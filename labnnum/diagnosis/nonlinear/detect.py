@@ -42,8 +42,8 @@ class Signs:
 
 
 UNSTEADY, WORSE = 0.1, 10.0
-"""What periods differ by, of the response, RMS, from which on a run may be in no steady state; and how many times what
-the steadiest run does.
+"""Uncertainty of the mean over the periods, of the response, RMS, from which on a run may be in no steady state; and
+how many times that of the steadiest run it is.
 """
 
 
