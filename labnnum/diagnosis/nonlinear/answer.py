@@ -312,6 +312,9 @@ class _Search:
             laws += [] if dry is None else [dry]
         if not self.identified and all(laws[-1].made is not m for m in self.deep):
             laws[-1] = self._deepened(found, laws[-1])
+        if not self.identified and laws[-1].simulated and not laws[-1].made.sure:
+            bench = Bench(found.engine, found.point, found.runs, self.scatter, ()).on(FINE)
+            laws[-1] = bench.carry_on(laws[-1], 2, always=True, last=laws[-1].made.terms[0].last)
         return decide(
             found, laws, self.train, self.test, self.scatter, self.limits, self.whole, self.nearly or NEARLY,
             self.timed, self.equal,

@@ -199,7 +199,28 @@ class Bench:
 
     def _carried(self, one: Tried, terms: Sequence[Acting], steps: int, always: bool) -> Tried:
         joint = self.joint_of(terms)
-        return tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always, more=one.more) or one
+        made = tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always, more=one.more)
+        return made or self.as_it_is(one)
+
+    def as_it_is(self, one: Tried) -> Tried:
+        """A simulated fit, no further, with what it leaves of this bench's lines; of infinite cost where it settles on
+        none of them.
+        """
+        joint, before = self.joint_of(one.made.terms), one.made
+        try:
+            x = joint.begin(before.x)
+            orbits = joint.settle(x, before.orbits, 8)
+            r, b = joint.parts(x, orbits)
+            left, price = reduced(r, b)[0], joint.price(x)
+        except (EstimationError, ModelError, np.linalg.LinAlgError):
+            return replace(one, cost=np.inf)
+        if not np.isfinite(left + price):
+            return replace(one, cost=np.inf)
+        made = replace(
+            before, x=x, objective=left + price, data_part=left, prior_part=price, orbits=tuple(orbits),
+            count=int(r.size),
+        )  # fmt: skip
+        return replace(one, made=made, cost=one.cost - before.objective + made.objective)
 
     def _finer(self, one: Tried) -> Sequence[Acting] | None:
         """The laws with half as long steps of the march, where a fit leaves more than noise and these leave far less of

@@ -8,7 +8,7 @@ law is sought once more.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -62,20 +62,20 @@ def added_to(engine: Engine, rest: Diagnosis) -> Engine | None:
     """The engine of the structure with what the linear search found in it, named or not: whether it was that, the law
     decides. None where nothing was found, or something that is no part of a structure.
     """
-    found = _found(rest)
-    if found is None or not all(_structural(t) for t in found.terms):
+    found, held = _found(rest), _held(rest)
+    if found is None or not all(_structural(t) for t in found.terms[held:]):
         return None
-    wider = _with(engine, found)
+    wider = _with(engine, found, range(held, len(found.terms)))
     return None if wider is engine else wider
 
 
 def channels_of(rest: Diagnosis) -> tuple[Named, ...]:
     """The faults of channels that a linear search beside a law found, named or not, where it found nothing else."""
-    found = _found(rest)
-    if found is None or not faults_of(found.terms, found.fit.point.terms):
+    found, held = _found(rest), _held(rest)
+    if found is None or not _faults(found):
         return ()
     scatter = rest.detail["selection"].scatter
-    every = tuple(named_of(found.fit, i, SURE, scatter) for i in range(len(found.terms)))
+    every = tuple(named_of(found.fit, i, SURE, scatter) for i in range(held, len(found.terms)))
     return every if all(n.term.mechanism.domain == "channel" for n in every) else ()
 
 
@@ -151,12 +151,13 @@ def confirmed(rest: Diagnosis, quiet: Diagnosis) -> tuple[Named, ...]:
 def _first_fault(d: Diagnosis) -> Named | None:
     """What a linear search finds first, if it is a channel's fault that can be taken off."""
     chain = d.detail["selection"].chain
-    if len(chain) < 2 or len(chain[1].terms) != 1:
+    held = _held(d)
+    if len(chain) < 2 or len(chain[1].terms) != held + 1:
         return None
-    faults = faults_of(chain[1].terms, chain[1].fit.point.terms)
+    faults = _faults(chain[1])
     if not faults or any(f.lost for f in faults):
         return None
-    return named_of(chain[1].fit, 0, SURE, d.detail["selection"].scatter)
+    return named_of(chain[1].fit, held, SURE, d.detail["selection"].scatter)
 
 
 def supposed(engine: Engine, rest: Diagnosis) -> Beneath | None:
@@ -164,14 +165,15 @@ def supposed(engine: Engine, rest: Diagnosis) -> Beneath | None:
     name yet: the law's own errors, fitted without it, may be what stands in its way.
     """
     chain = rest.detail["selection"].chain
-    if len(chain) < 2 or len(chain[1].terms) != 1 or chain[1].cost > WORTH * chain[0].cost:
+    held = _held(rest)
+    if len(chain) < 2 or len(chain[1].terms) != held + 1 or chain[1].cost > WORTH * chain[0].cost:
         return None
     found, scatter = chain[1], rest.detail["selection"].scatter
-    faults = faults_of(found.terms, found.fit.point.terms)
+    faults = _faults(found)
     if faults:
-        one = Beneath([engine], faults, (named_of(found.fit, 0, SURE, scatter),))
+        one = Beneath([engine], faults, (named_of(found.fit, held, SURE, scatter),))
         return None if any(f.lost for f in faults) else one
-    wider = _with(engine, found)
+    wider = _with(engine, found, range(held, held + 1))
     return None if wider is engine else Beneath([wider], [], ())
 
 
@@ -257,17 +259,27 @@ def _found(rest: Diagnosis, worth: float = WORTH) -> Candidate | None:
     """The last model of a linear search, if it is named or worth far more than the structure as it is."""
     chain = rest.detail["selection"].chain
     enough = bool(rest.named) or chain[-1].cost < worth * chain[0].cost
-    return chain[-1] if chain[-1].terms and enough else None
+    return chain[-1] if len(chain[-1].terms) > _held(rest) and enough else None
 
 
-def _with(engine: Engine, found: Candidate, which: Sequence[int] | None = None) -> Engine:
-    """The engine of the structure that holds the linear mechanisms found, or those of the terms `which` only; without
-    the last where it cannot be built with it, and so on: a motion that has no mass, or no mode in the band.
+def _held(rest: Diagnosis) -> int:
+    """How many mechanisms the structure held before a linear search: they lead in all its models."""
+    return len(rest.detail["selection"].chain[0].terms)
+
+
+def _faults(found: Candidate) -> list[Fault]:
+    """The channels' faults in a model of a linear search; what the structure held before has none."""
+    return faults_of(found.terms, found.fit.point.terms)
+
+
+def _with(engine: Engine, found: Candidate, which: Sequence[int]) -> Engine:
+    """The engine of the structure that holds those of the linear mechanisms found that have the numbers `which`;
+    without the last where it cannot be built with it, and so on: a motion that has no mass, or no mode in the band.
     """
     added, at = [], 0
     for i, t in enumerate(found.terms):
         values = zip(t.parameters, found.fit.point.terms[at : at + t.n], strict=True)
-        if _structural(t) and (which is None or i in which):
+        if _structural(t) and i in which:
             added.append(Added(t.sought, tuple(_about(p, float(v)) for p, v in values)))
         at += t.n
     while added:
@@ -280,8 +292,12 @@ def _with(engine: Engine, found: Candidate, which: Sequence[int] | None = None) 
 
 def widened(engine: Engine, added: Sequence[Added]) -> Engine | None:
     """The engine of the structure that holds mechanisms besides; None where it cannot be built with them."""
+    plain = engine.structure
     try:
-        structure = ExtendedStructure(engine.structure, tuple(added))
+        if isinstance(plain, ExtendedStructure):
+            structure = replace(plain, added=(*plain.added, *added))
+        else:
+            structure = ExtendedStructure(plain, tuple(added))
         wider = Engine(structure, engine.outputs, engine.inputs, engine.band)
     except (LabnnumError, np.linalg.LinAlgError):
         return None

@@ -54,13 +54,16 @@ def nearer_to(engine: Engine, wider: Engine, x: NDArray) -> Engine | None:
 
 
 def named_in(found: NonlinearAnswer) -> tuple[Named, ...]:
-    """The clamps of the structure on which a law was found, as its fit has left them, where they give at all."""
+    """The clamps of the structure on which a law was found, as its fit has left them, where they give at all; their
+    standard deviations grow with what it leaves.
+    """
     engine, last = found.study.engine, found.laws[-1].made
     added = engine.structure.added if isinstance(engine.structure, ExtendedStructure) else ()
     at, out = engine.theta0.size - sum(len(a.parameters) for a in added), []
+    grown = np.sqrt(max(1.0, last.data_part / last.count))
     for a in added:
         here = slice(at, at + len(a.parameters))
-        value, std = last.x[here], np.sqrt(np.maximum(np.diag(last.covariance)[here], 0.0))
+        value, std = last.x[here], grown * np.sqrt(np.maximum(np.diag(last.covariance)[here], 0.0))
         if np.any(value > TOLD * std):
             out.append(Named(a.term.fitted, value, std, SURE))
         at += len(a.parameters)

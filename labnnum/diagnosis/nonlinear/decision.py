@@ -156,7 +156,8 @@ def decide(
     nearly = not bent and extended_error[1] < enough * base_error[1]
     reason = ""
     noise = noise_of(test or train)
-    if total < limits.alarm and base_error[1] < max(limits.sound, 3 * noise):
+    heard_noise = noise if np.isfinite(noise) else 0.0  # what nobody knows excuses nothing
+    if total < limits.alarm and base_error[1] < max(limits.sound, 3 * heard_noise):
         reason = UNCONFIRMED
     elif misfit > MISFIT and not nearly and not _stands_out(found, best, last, base_error, extended_error):
         reason = NOTHING
@@ -172,8 +173,8 @@ def decide(
         reason = UNTOLD
     sure = not reason or reason in (*FOUND, EQUAL)
     shown = shown_error(joint, x, orbits, len(train))
-    left = shown if _astray(misfit, shown, extended_error[1], noise) else extended_error[1]
-    useless = left > limits.improve * base_error[1] and left > 3 * noise
+    left = shown if _astray(misfit, shown, extended_error[1], heard_noise) else extended_error[1]
+    useless = left > limits.improve * base_error[1] and left > 3 * heard_noise
     if sure and (useless or left > GAINS * base_error[1] or extended_error[1] > 1.05 * base_error[1]):
         both = alone(found, train, test, scatter), joint
         scores = (
@@ -191,7 +192,7 @@ def decide(
         reason = UNCONFIRMED  # the base explains all that a sound model does; sensors and shakers distort as much
     near = [t for t in against if (t.cost - best.cost) / excess < limits.name]
     common = shared(best, near) if reason == EQUAL and not (found.company or systematic) else frozenset()
-    names = () if reason and not common else _all_named(found, laws, rivals, scatter)
+    names = () if reason and not common else _all_named(found, laws, best, rivals, scatter)
     if common:  # a chain that has come by other laws names none of them
         names = tuple(n for n in names if (n.term.mechanism.id, n.place) in common)
         reason = "" if names else EQUAL
@@ -199,7 +200,7 @@ def decide(
     if reason and found.general is not None and general < _level(best, last):
         place = found.general.spot.place
     poor = min(general, _level(best, last)) > LITTLE * _level_of(base, last)
-    if reason and poor and any(r.quiet.any() for r in found.runs):
+    if reason and poor and found.recovered and any(r.quiet.any() for r in found.runs):
         place = max(found.recovered, key=lambda q: q.share).spot.place  # no law says anything; the distortion does
     if whole:
         linear, n_train = linearised_records(found, last.made, whole, scatter), len(whole)
@@ -371,9 +372,10 @@ NEARLY = 0.1
 
 
 def _all_named(
-    found: Study, laws: Sequence[Tried], rivals: Sequence[Tried], scatter: Scatter
+    found: Study, laws: Sequence[Tried], best: Tried, rivals: Sequence[Tried], scatter: Scatter
 ) -> tuple[Named, ...]:  # fmt: skip
-    """Every named law of the chain, its parameters from the last fit; a general one has no name.
+    """Every named law of the chain, its parameters from the last fit; a general one has no name. The confidence in the
+    first is told from `best`, which was fitted to the lines of its rivals.
 
     Standard deviations grow with what the fit leaves, and hold what common scales leave open (`scales`).
     """
@@ -392,7 +394,7 @@ def _all_named(
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
         term = replace(term, parameters=term.parameters[:n])
         others = [r for r in rivals if (t.name, t.spot.place) not in r.all_of_it]
-        trust = _confidence(laws[0], others) if i == 0 else 0.95
+        trust = _confidence(best if (t.name, t.spot.place) in best.all_of_it else t, others) if i == 0 else 0.95
         common = scale_std(mechanism.units[:n], value[:n], scatter, max(n_out, 1), based)
         out.append(Named(term, value[:n], np.hypot(std[:n] * np.sqrt(excess), common), trust))
     return tuple(out)

@@ -99,9 +99,9 @@ def _beside(on: Bench, first: Tried, spots: Sequence[Spot], laws: Sequence[str])
     joint = on.joint(own)
     try:
         orbits = joint.settle(made.x, made.orbits, 8)
-    except EstimationError:
+        background = Background(joint, made.x, orbits)
+    except (EstimationError, np.linalg.LinAlgError):
         return []
-    background = Background(joint, made.x, orbits)
     found = ranked(background, [recover(joint, made.x, on.point, s, orbits) for s in spots])
     leads = [lead for q in found for lead in law_leads(background, q, laws)]
     begun = []

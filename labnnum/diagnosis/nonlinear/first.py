@@ -134,7 +134,8 @@ class _Whole(Whole):
         if doubted is not None and not self.faults:
             self.progress("leaving out a channel that the law does not explain")
             second = self.law(self.engine, doubted=doubted, whole=False)
-            if second is not None and second.named and second.misfit < HALF * found.misfit:
+            n = len(self.train[0].frf.outputs)  # the one left out leaves nothing, and counts
+            if second is not None and second.named and second.misfit * n / (n - 1) < HALF * found.misfit:
                 found = second
                 rest = self.again(found.linearised, found.linearised_held_out)
         wrong = [Fault(n.term, n.value) for n in rest.named if n.place.kind == "channel"]

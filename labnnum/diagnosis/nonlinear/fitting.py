@@ -39,6 +39,8 @@ class Made:
     bare: int
     count: int
     converged: bool
+    sure: bool = False
+    """Whether the standard deviations hold that neighbouring lines are wrong together."""
 
     def law(self, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Parameters of the i-th law and their standard deviations."""
@@ -137,6 +139,7 @@ def fit(
         joint.n_base - joint.k * per_place(joint.engine),
         int(r.size),
         converged,
+        always,
     )
 
 

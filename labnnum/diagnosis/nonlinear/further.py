@@ -55,9 +55,9 @@ def further(
     joint = Joint(engine, point, runs, held, scatter, chosen)
     try:
         made = fit(joint, first.made.x, first.made.orbits, steps=2)
+        background = Background(joint, made.x, made.orbits)
     except (EstimationError, ModelError, np.linalg.LinAlgError):
         return None  # a steady state that hardly settles tells of no other law
-    background = Background(joint, made.x, made.orbits)
     here = [s for s in spots if any(np.array_equal(np.abs(s.column), np.abs(t.column)) for t in held)]
     found = ranked(background, [recover(joint, made.x, point, s, made.orbits) for s in (here if general else spots)])
     leads: list[Lead] = []
@@ -79,7 +79,7 @@ def further(
         start = [_with_one_more(o) for o in made.orbits]
         try:
             one = fit(more, x, start, steps=8)
-        except (EstimationError, np.linalg.LinAlgError):
+        except (EstimationError, ModelError, np.linalg.LinAlgError):
             continue
         tried = Tried(lead, one, cost(one, lead.mechanism))
         if best is None or tried.cost < best.cost:

@@ -141,7 +141,9 @@ def _elsewhere(plain: Joint, best: Tried, spots: Sequence[Spot], bench: Bench) -
     shares = pair_shares(plain, x, spots)
     shares = np.maximum(shares, shares.T)
     leads = of_fits(best)
-    at = [number_of(spots, lead.spot) for lead in leads]
+    at = [k for lead in leads if (k := number_of(spots, lead.spot)) is not None]
+    if len(at) < len(leads):
+        return []
     out = []
     for i in range(2):
         others = sorted((j for j in range(len(spots)) if j not in at), key=lambda j: -shares[at[1 - i], j])
@@ -157,9 +159,9 @@ AROUND = 2
 """Places that are tried instead of each of the best pair's."""
 
 
-def number_of(spots: Sequence[Spot], spot: Spot) -> int:
-    """Where a spot, in either sense, stands among all."""
-    return next(i for i, s in enumerate(spots) if (s.place, s.axis) == spot.where)
+def number_of(spots: Sequence[Spot], spot: Spot) -> int | None:
+    """Where a spot, in either sense, stands among all; None where another one stands for it."""
+    return next((i for i, s in enumerate(spots) if (s.place, s.axis) == spot.where), None)
 
 
 def _sense(spot: Spot) -> str:
@@ -296,6 +298,8 @@ def _places(
     for one in some:
         out.append((one, one))
         i = number_of(spots, one)
+        if i is None:
+            continue
         beside = sorted((j for j in range(n) if j != i), key=lambda j: -max(shares[i, j], shares[j, i]))
         out += [(one, spots[j]) for j in beside[:most]]
     distinct: list[tuple[Spot, Spot]] = []

@@ -405,10 +405,12 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
     long = [fine(t) and (_coarse(t) or not t.made.terms[0].last) for t in kept]
     done = [bench.carry_on(t, LONG if far else 4, last=fine(t)) for t, far in zip(kept, long, strict=True)]
     best = min(done, key=lambda t: t.cost)
+    if not np.isfinite(best.cost):
+        return []
     sure = bench.carry_on(best, 2, always=True, last=fine(best))
     done = [sure if t is best else t for t in done]
     ratio = sure.made.count / shown[0].made.count
-    rest = [replace(t, cost=t.cost * ratio) for t in front if not any(t.same(o) for o in done)]
+    rest = [raised(t, ratio) for t in front if not any(t.same(o) for o in done)]
     near = sorted((t for t in rest if t.simulated and t.cost < BESIDE * sure.cost), key=lambda t: t.cost)
     for t in near[:most] if ratio > 1 else ():  # raised costs are not sure enough to tell these
         one = bench.carry_on(t, 4, last=fine(t))
@@ -416,6 +418,15 @@ def refined(study: Study, scatter: Scatter, more: Sequence[Tried], lines: int = 
         rest = [o for o in rest if not one.same(o)]
     ahead = sorted([*done, *(t for t in rest if t.simulated)], key=lambda t: t.cost)
     return [ahead[0], *sorted([*ahead[1:], *(t for t in rest if not t.simulated)], key=lambda t: t.cost)]
+
+
+def raised(t: Tried, ratio: float) -> Tried:
+    """A candidate with what its fit left raised to `ratio` times as many values, but for the base's price."""
+    made = t.made
+    more = replace(
+        made, objective=ratio * made.objective, data_part=ratio * made.data_part, count=round(ratio * made.count)
+    )  # fmt: skip
+    return replace(t, made=more, cost=ratio * t.cost)
 
 
 BESIDE = 1.01

@@ -135,7 +135,9 @@ def contest(
             racing = on.against(*(one for one in carried if one.named))
             made = racing.carry_on(t, steps, last=sharp(t) and slack < ROUGH)
             carried.append(_unbent(racing, x, made, steps))
-        near = _nearest(carried, CARRIED if slack else ENDED)
+        near = _nearest([t for t in carried if np.isfinite(t.cost)], CARRIED if slack else ENDED)
+        if not near:
+            return Contest()
     return Contest(tuple(near), tuple(t for t in pairs if t.cost < BETTER * near[0].cost))
 
 

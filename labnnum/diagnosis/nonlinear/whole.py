@@ -337,7 +337,7 @@ class Whole:
             return found
         self.progress("searching for the law at the quieter levels")
         before = self.train, self.test, self.usable
-        self.train, self.test, self.usable = (under(some, most) for some in before)
+        self.train, self.test, self.usable = self._under(most)
         with counted():  # it begins anew, on less
             quiet = self.law(self.engine, suspicious=False)
         self.train, self.test, self.usable = before
@@ -349,6 +349,17 @@ class Whole:
             given = Given((tuple(leads_of(quiet.laws)),), last.x[: last.n_base], NOISY)
             second = self.law(self.engine, suspicious=False, given=given)
         return second if second is not None and second.named and total(second) < BETTER * total(found) else found
+
+    def _under(self, most: float) -> tuple[list[Observation], list[Observation], list[Observation]]:
+        """Runs of levels below `most`: of the fit, held out anew where none were given for that, and all of them."""
+        from labnnum.diagnosis.runs import kept_from_law
+
+        train, test, usable = (under(some, most) for some in (self.train, self.test, self.usable))
+        if not self.held_out:
+            kept = kept_from_law(usable)
+            train = [o for i, o in enumerate(usable) if i not in kept]
+            test = [usable[i] for i in sorted(kept)]
+        return train, test, usable
 
     def unhidden(self, found: NonlinearAnswer) -> NonlinearAnswer:
         """The law, sought once more where one that leaves too much, named or not, stands beside something linear that
