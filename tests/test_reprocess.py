@@ -210,6 +210,36 @@ class TestCommand:
         assert any(abs(peak - 100) < 10 for peak in frf["peaks"]["a"])
         assert all(v["ok"] for v in frf["verdicts"])
 
+    def test_the_gate_keeps_the_whole_pulse(self, session, monkeypatch, capsys):
+        """What is gated away is noise: the FRF is that of the system, and of the same settings given by hand."""
+        data = np.hstack([hit() for _ in range(3)])
+        data[0] += np.tile(np.r_[np.zeros(200), np.full(1800, 1e-3)], 3)
+        run = add(session, data)
+        for k in range(3):
+            run.add_hit(2000 * k, 2000 * (k + 1))
+        session.close()
+        status, _, _ = self.run(monkeypatch, capsys, "frf", session.path, "--hits", "--gate", 0.02)
+        assert status == 0
+        with open_session(session.path, "a") as again:
+            (told,) = again.frfs()
+            ((_, by_hand),) = reprocess(again, FrfSettings(hits=True, gate=0.02))
+        assert told.settings["force_gate"] == [0.02, 0.02]
+        assert_array_equal(told.value, by_hand.value)
+        force, answered = np.fft.rfft(hit())[:, 1:300]
+        assert_allclose(told.value[0, 0, 1:300], answered / force, rtol=1e-9)
+
+    def test_clipped_channels_are_used_if_asked(self, session, monkeypatch, capsys):
+        t = np.arange(4000) / RATE
+        add(session, np.array([noise(4000)[0], np.minimum(np.sin(20 * t), 0.8)]))
+        session.close()
+        line = ("frf", session.path, "--segment", 512)
+        status, _, err = self.run(monkeypatch, capsys, *line)
+        assert (status, "--keep-clipped" in err) == (2, True)
+        status, out, _ = self.run(monkeypatch, capsys, *line, "--keep-clipped")
+        assert (status, "results/frf/0001" in out) == (0, True)
+        with open_session(session.path) as read:
+            assert [f.settings["requested"]["keep_clipped"] for f in read.frfs()] == [True]
+
     def test_a_low_coherence_is_named_and_fails_only_if_asked(self, session, monkeypatch, capsys):
         data = noise()
         data[1] += 3 * np.random.default_rng(9).normal(size=data.shape[1])

@@ -70,7 +70,16 @@ def frf(
     bands = [_band(text) for text in band or []]
     if not 0 <= coherence <= 1:
         raise ConfigError(f"--coherence {coherence:g}: expected a number from 0 to 1")
-    settings = FrfSettings(cast(Method, estimator), segment, window, overlap, hits, decay, gate, keep_clipped)
+    settings = FrfSettings(
+        estimator=cast(Method, estimator),
+        segment=segment,
+        window=window,
+        overlap=overlap,
+        hits=hits,
+        decay=decay,
+        gate=gate,
+        keep_clipped=keep_clipped,
+    )
     with open_session(session, "a") as store, bar("estimating") as progress:
         _require_within(bands, store)
         done = reprocess(store, settings, run or [], progress)
