@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, final
 
@@ -79,10 +80,11 @@ class Desk:
         self.guard, self.display, self.exciter = guard, display, exciter
         self.status = Status()
         self.commands: list[str] = []
+        self.halted = False
+        """The person asked for the end: nothing is switched on any more."""
         self.position = 0
         self.tail = Tail(len(item.stored), max(keep, POINTS))
         self._progress = [replace(p, current=p.key == item.key) for p in progress]
-        display.urgent = self.off
         self._frame = 0
 
     def blocks(self) -> Iterator[tuple[Stored, NDArray[np.float64]]]:
@@ -101,9 +103,24 @@ class Desk:
         """Take the person's commands; "stop" ends the run, output first."""
         new = self.display.commands()
         if "stop" in new:
-            self.off()
+            self.halt()
             raise UserStopError("stopped by the user")
         self.commands += new
+
+    @contextmanager
+    def exciting(self) -> Generator[None]:
+        """While it lasts, "stop" switches off from whatever thread; one that was said before ends the run here."""
+        before, self.display.urgent = self.display.urgent, self.halt
+        try:
+            self.listen()
+            yield
+        finally:
+            self.display.urgent = before
+
+    def halt(self) -> None:
+        """Switch the generator off, for good."""
+        self.halted = True
+        self.off()
 
     def off(self) -> None:
         """Switch the generator off."""

@@ -23,7 +23,10 @@ class Display(ABC):
     def __init__(self) -> None:
         self._due = 0.0
         self.urgent: Callable[[], None] = lambda: None
-        """Called at once, from whatever thread, when the person says "stop": it switches the generator off."""
+        """Called at once, from whatever thread, when the person says "stop": it switches the generator off.
+
+        It is that of the run that goes on, and does nothing between two runs.
+        """
 
     def wants(self) -> bool:
         """Whether a snapshot is due."""

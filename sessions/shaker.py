@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import final
 
@@ -30,7 +31,7 @@ LATENCY = 0.15
 Blocks = Iterator[tuple[Stored, NDArray[np.float64]]]
 
 
-class _Excited:
+class _Excited(ABC):
     """What runs with a generator share: waiting, measuring the controlled channel, lowering the level."""
 
     def __init__(self, desk: Desk) -> None:
@@ -43,6 +44,15 @@ class _Excited:
         self.target = desk.item.level
         self.stream: Blocks = desk.blocks()
         desk.status.target, desk.status.level_unit = self.target, self.unit
+
+    def measure(self) -> None:
+        """Measure one level, and leave the generator off; until then the person's "stop" silences it at once."""
+        with self.desk.exciting():
+            self._measure()
+
+    @abstractmethod
+    def _measure(self) -> None:
+        """Reach the level, record what counts, lower the generator."""
 
     @property
     def rate(self) -> float:
@@ -70,11 +80,20 @@ class _Excited:
         return start
 
     def volts(self, rms: float, ramp: float = 0.0) -> None:
-        """Set the generator, and note it; not after the guard has switched it off."""
-        if self.desk.guard.tripped:
+        """Set the generator, and note it; not after the guard or the person has switched it off."""
+        if self._silenced:
             return
         self.exciter.set_volts(rms, ramp)
         self.desk.status.volts = rms
+
+    def tone(self, frequency: float) -> None:
+        """Go on as a sine; not after the guard or the person has switched off."""
+        if not self._silenced:
+            self.exciter.tone(frequency)
+
+    @property
+    def _silenced(self) -> bool:
+        return self.desk.guard.tripped or self.desk.halted
 
     def lower(self) -> None:
         """Ramp down, then off."""
@@ -94,7 +113,7 @@ class _Excited:
 class ShakerRun(_Excited):
     """Measures one level and realisation of noise, bursts, periodic signals or chirps."""
 
-    def measure(self) -> None:
+    def _measure(self) -> None:
         """Reach the level, hold it, record the whole stretch, and lower the generator."""
         drive = waveform(self.excitation, self.rate, self.desk.item.realisation)
         begin = self.exciter.arm(drive.samples, repeat=True)
@@ -207,7 +226,7 @@ def _running(accumulator) -> Curves | None:
 class SteppedRun(_Excited):
     """Measures one level by tones, one after the other, up and down."""
 
-    def measure(self) -> None:
+    def _measure(self) -> None:
         """Step through the plan; each tone is a stretch of the run with its frequency."""
         e = self.excitation
         high = e.high or 0.4 * self.rate
@@ -218,8 +237,7 @@ class SteppedRun(_Excited):
         self.desk.status.curves = lambda: _points(seen, self.desk)
         for number, (frequency, direction) in enumerate(tones):
             self.desk.status.state = f"{frequency:.4g} Hz, {direction}"
-            if not self.desk.guard.tripped:
-                self.exciter.tone(float(frequency))
+            self.tone(float(frequency))
             volts, off = self._hold(float(frequency), volts)
             seen.append((float(frequency), self._keep(float(frequency), direction, off)))
             self.desk.done(number + 1, len(tones))

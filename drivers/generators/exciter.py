@@ -32,8 +32,7 @@ class GeneratorExciter(Exciter):
     def __init__(self, generator: Generator) -> None:
         self.generator = generator
         self._lock = threading.RLock()
-        self._ready = False
-        self._plain = False
+        self._ready = self._plain = self._closed = False
         self._volts = 0.0
 
     @property
@@ -97,14 +96,17 @@ class GeneratorExciter(Exciter):
             )
 
     def off(self) -> None:
-        """Silence, confirmed by the generator. SafetyError if it did not confirm."""
+        """Silence, confirmed by the generator; nothing once the line was let go. SafetyError if it did not confirm."""
         self._ready = False
         with self._lock:
             self._ready, self._volts = False, 0.0
-            self.generator.off()
+            if not self._closed:
+                self.generator.off()
 
     def close(self) -> None:
-        """Off, and let the line go."""
+        """Off, and let the line go: from then on somebody else may hold it."""
         self._ready = False
         with self._lock:
-            self.generator.close()
+            if not self._closed:
+                self._closed = True
+                self.generator.close()

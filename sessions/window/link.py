@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import deque
 from dataclasses import replace
 from multiprocessing.connection import Connection, Listener
 from typing import Any, final
@@ -53,7 +54,7 @@ class Window(Display):
         self._shown: Snapshot | None = None
         self._fresh = threading.Condition()
         self._asked = False
-        self._commands: list[str] = []
+        self._commands: deque[str] = deque()
         self._over = False
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close()
         key = secrets.token_bytes(16)
@@ -123,8 +124,7 @@ class Window(Display):
 
     def commands(self) -> list[str]:
         """What the person asked for since the last call."""
-        out, self._commands = self._commands, []
-        return out
+        return [self._commands.popleft() for _ in range(len(self._commands))]
 
     @property
     def alive(self) -> bool:
@@ -177,9 +177,11 @@ class Window(Display):
                 self._hear(str(word))
 
     def _hear(self, command: str) -> None:
+        """Keep the command, and at "stop" switch off at once; where that fails, whoever takes the command tells it."""
+        self._commands.append(command)
         if command == "stop":
-            self.urgent()
-        self._commands = [*self._commands, command]
+            with contextlib.suppress(LabnnumError):
+                self.urgent()
 
 
 def _address(address: Any) -> str:

@@ -60,6 +60,70 @@ def test_stop_switches_off_first(tmp_path, monkeypatch):
     assert outcome.items["multisine 0.5 #1"] == "stopped by the user"
 
 
+STEPPED = (
+    ('kind = "multisine"', 'kind = "stepped sine"\nlines = 4'),
+    ("levels = [0.5, 2.0]", "levels = [1.0]"),
+)
+
+
+class Pressed(Quiet):
+    """A person who says "stop" when `press` is called: it goes off at once, and is heard with the next commands."""
+
+    def __init__(self):
+        super().__init__()
+        self.said = []
+
+    def press(self):
+        self.said.append("stop")
+        self.urgent()
+
+    def commands(self):
+        said, self.said = self.said, []
+        return said
+
+
+def exciters(monkeypatch):
+    """Those that the bench opens, as they come."""
+    made, init = [], SimulatedExciter.__init__
+    monkeypatch.setattr(SimulatedExciter, "__init__", lambda this, *args: (made.append(this), init(this, *args))[1])
+    return made
+
+
+def test_a_stop_between_two_items_ends_the_plan_before_anything_is_raised(tmp_path, monkeypatch):
+    display, made, finish = Pressed(), exciters(monkeypatch), Run.finish
+    monkeypatch.setattr(Run, "finish", lambda this, how: (finish(this, how), display.press())[0])
+    outcome = measure(shaker_rig(tmp_path), tmp_path / "out.h5", display)
+    assert outcome.items == {"multisine 0.5 #1": "complete", "multisine 2 #1": "stopped by the user"}
+    assert len(made) == 2
+    assert any(line.startswith("volts") for line in made[0].log)
+    assert set(made[1].log) == {"off"}
+
+
+def test_after_a_stop_neither_the_next_tone_nor_its_level_is_switched_on(tmp_path, monkeypatch):
+    display, made, tone, asked = Pressed(), exciters(monkeypatch), SimulatedExciter.tone, []
+
+    def pressed_before(this, frequency):
+        asked.append(frequency)
+        if len(asked) == 3:
+            display.press()
+        tone(this, frequency)
+
+    monkeypatch.setattr(SimulatedExciter, "tone", pressed_before)
+    outcome = measure(shaker_rig(tmp_path, *STEPPED), tmp_path / "out.h5", display)
+    assert outcome.items == {"stepped-sine 1 #1": "stopped by the user"}
+    (exciter,) = made
+    after = exciter.log[exciter.log.index("off") :]
+    assert set(after) == {"off"}
+
+
+def test_between_two_runs_a_stop_switches_nothing(tmp_path, monkeypatch):
+    display, made = Quiet(), exciters(monkeypatch)
+    measure(shaker_rig(tmp_path), tmp_path / "out.h5", display)
+    before = [list(e.log) for e in made]
+    display.urgent()
+    assert [e.log for e in made] == before
+
+
 def test_overload_and_lost_frames_can_stop(tmp_path):
     rig = shaker_rig(
         tmp_path, ("ramp = 0.1", 'ramp = 0.1\noverload = "stop"'), ('unit = "N"', 'unit = "N"\nfull_scale = 0.3')

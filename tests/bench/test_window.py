@@ -2,13 +2,14 @@
 
 import os
 import signal
+import sys
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from labnnum.errors import LabnnumError
+from labnnum.errors import LabnnumError, SafetyError
 from labnnum.recording import Channel
 from sessions.bench import measure
 from sessions.display import Display
@@ -292,6 +293,40 @@ def test_stop_from_the_window_switches_off_at_once(tmp_path):
     order += window.commands()
     window.close()
     assert order == ["off", "stop"]
+
+
+STAND_IN = """#!{python}
+import sys
+from multiprocessing.connection import Client
+key = bytes.fromhex(sys.stdin.readline().strip())
+with Client(sys.argv[-1], authkey=key) as line:
+    line.send("ready")
+    line.recv()
+    for word in {words}:
+        line.send(word)
+"""
+"""What takes the place of the window's process: it says these words once it was shown something, and is gone."""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs an executable script")
+def test_a_stop_is_heard_though_switching_off_fails_and_so_is_what_comes_after_it(tmp_path, monkeypatch):
+    from sessions.window import link
+
+    script = tmp_path / "window"
+    script.write_text(STAND_IN.format(python=sys.executable, words=["undo", "stop", "next", "stop"]))
+    script.chmod(0o755)
+    monkeypatch.setattr(link.sys, "executable", str(script))
+    heard = []
+
+    def failing():
+        heard.append(window.commands())
+        raise SafetyError("it did not confirm; its output may be on")
+
+    with link.Window(stay=False) as window:
+        window.urgent = failing
+        window.show(snapshot(0))
+        window._threads[1].join(60)
+    assert heard == [["undo", "stop"], ["next", "stop"]]
 
 
 def test_a_window_that_cannot_open_says_why(monkeypatch):

@@ -11,6 +11,7 @@ from drivers.generators import OPENERS
 from drivers.generators.exciter import GeneratorExciter
 from drivers.generators.pseudo_terminal import PseudoTerminal
 from drivers.generators.simulated import SimulatedFeelTech, SimulatedJunce, SimulatedScpi
+from drivers.transport import SerialTransport
 from labnnum.errors import (
     ConfigError,
     DeviceLostError,
@@ -42,6 +43,13 @@ def bench(request, tmp_path):
             yield line, generator
         finally:
             generator.transport.close()
+
+
+def again(generator):
+    """Another generator on the same port."""
+    made = type(generator)(SerialTransport(generator.transport.name), max_volts=2.0)
+    made.timeout, made.pause = 5.0, 0.01
+    return made
 
 
 def play(generator):
@@ -210,6 +218,22 @@ def test_levels_are_reached_in_steps_and_off_holds_against_whoever_is_raising_th
             exciter.set_volts(1.5)
         with pytest.raises(ConfigError, match="plays sines only"):
             exciter.arm([0.0, 1.0], True)
+    assert not line.instrument.settings.output
+
+
+def test_an_exciter_that_let_its_line_go_leaves_whoever_took_it_alone(bench):
+    """A "stop" that comes late reaches the run before: the port is the next one's by now."""
+    line, generator = bench
+    exciter = GeneratorExciter(generator)
+    with exciter:
+        generator.identify()
+    with again(generator) as following:
+        play(following)
+        exciter.off()
+        exciter.close()
+        following.set_frequency(40.0)
+        assert line.instrument.settings.output
+        assert line.instrument.settings.frequency == pytest.approx(40.0, abs=1e-5)
     assert not line.instrument.settings.output
 
 
