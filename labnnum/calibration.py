@@ -260,12 +260,13 @@ def from_common_signal(frf: Frf, reference_highpass: float = 0.0) -> dict[str, I
     frf : Frf
         Of all inputs over the reference input, in volts.
     reference_highpass : float
-        Corner of the reference input's own coupling in Hz; 0 if it is DC coupled. The others are told relative to it.
+        Corner of the reference input's own coupling in Hz; 0 if it is DC coupled.
 
     Returns
     -------
     dict of str to InputResponse
-        By name of the output channel.
+        By name of the channel: corners as they are, delays and gains over those of the reference, which stands among
+        them with the corner given. `corrected` needs both sides of an FRF: its effect on the ratio was the quotient.
 
     Raises
     ------
@@ -281,11 +282,9 @@ def from_common_signal(frf: Frf, reference_highpass: float = 0.0) -> dict[str, I
     used = f > 0
     if used.sum() < 8 or len(frf.inputs) != 1:
         raise EstimationError("a common signal needs one reference input and at least 8 lines")
-    part = frf.at(used)
-    return {
-        channel.name: _fitted(part, row, InputResponse(highpass=reference_highpass))
-        for row, channel in enumerate(part.outputs)
-    }
+    part, reference = frf.at(used), InputResponse(highpass=reference_highpass)
+    fitted = {channel.name: _fitted(part, row, reference) for row, channel in enumerate(part.outputs)}
+    return {frf.inputs[0].name: reference, **fitted}
 
 
 def _fitted(frf: Frf, row: int, reference: InputResponse) -> InputResponse:

@@ -71,7 +71,10 @@ def mass(
 def inputs(
     rig: Rig, names: Sequence[str], reference: str, highpass: float, top: float, seconds: float, progress: Progress
 ) -> dict[str, InputResponse]:
-    """Delay, high-pass and gain of inputs that one signal is fed into, against a reference input, up to `top` Hz."""
+    """Delay, high-pass and gain of inputs that one signal is fed into, against a reference input, up to `top` Hz.
+
+    The reference stands among them, with the corner `highpass` in Hz that it is said to have.
+    """
     rows = [row_of(rig, n) for n in (reference, *names)]
     volts = record(rig, lambda: _common(rig), rows, seconds, progress)
     channels = (Channel(reference, "voltage", "reference"), *(Channel(n, "voltage", "response") for n in names))

@@ -55,7 +55,7 @@ class FullScaleEntry(Entry):
 
 
 class InputEntry(Entry):
-    """[[input]]: delay in s and high-pass in Hz, against a reference input."""
+    """[[input]]: delay in s and high-pass in Hz; delay and gain against a reference input, which has its own entry."""
 
     reference: str = ""
     delay: float = 0.0

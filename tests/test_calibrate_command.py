@@ -93,10 +93,11 @@ def test_a_sensor_then_a_force_channel_then_the_inputs(rig):
     known = read_calibration(rig)
     assert known.responses["tip"].delay == pytest.approx(1e-4, rel=1e-3)
     assert known.responses["tip"].highpass == pytest.approx(0.5, rel=5e-3)
-    assert [e.channel for e in known.entries] == ["tip", "force", "tip"]
+    assert [e.channel for e in known.entries] == ["tip", "force", "force", "tip"]
     assert all(re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d\d:\d\d", e.date) for e in known.entries)
     shown = run(rig, "--show")
-    assert shown.count("\n") == 4
+    assert shown.count("\n") == 5
+    assert "force: the reference, high-pass 0 Hz as stated (common signal, reference force" in shown
     assert "100.00 ± " in shown
 
 
@@ -104,6 +105,14 @@ def test_a_common_signal_suits_the_least_range(rig):
     rig.write_text(RIG.replace("sensitivity = 0.1\n", "sensitivity = 0.1\nfull_scale = 1.0\n"))
     run(rig, "--inputs", "--seconds", 8)
     assert read_calibration(rig).responses["tip"].delay == pytest.approx(1e-4, rel=5e-3)
+
+
+def test_another_reference_takes_the_place_of_the_one_before(rig):
+    run(rig, "--inputs", "--seconds", 8)
+    run(rig, "--inputs", "--seconds", 8, "--reference", "tip", "--reference-highpass", 0.5)
+    known = read_calibration(rig).responses
+    assert known["force"].delay == pytest.approx(-1e-4, rel=1e-3)
+    assert known["tip"] == InputResponse(highpass=0.5)
 
 
 def test_the_last_calibration_holds_and_all_can_be_forgotten(rig):
@@ -162,6 +171,7 @@ def test_a_channel_without_a_sensitivity_gets_one(rig):
         (["force", "--mass", "1"], ConfigError, "--mass needs --against"),
         (["tip", "--mass", "1", "--against", "force"], ChannelError, "'tip' must measure force"),
         (["force", "--mass", "1", "--against", "tip", "--band", "300"], InputError, "not LOW:HIGH in Hz"),
+        (["--inputs", "--reference-highpass", "-1"], ConfigError, "--reference-highpass -1: expected a corner in Hz"),
         (["force", "--sine", "1"], ConfigError, "only an audio interface has a full scale"),
         (["force", "--forget", "--seconds", "1"], None, "0 removed"),
     ],
@@ -288,3 +298,25 @@ def test_a_calibrated_bench_measures_the_models_frf_and_an_uncalibrated_one_does
     assert left.mean() < 0.01
     (again,) = [f for _, f in reprocess(open_session(rig.parent / "after.h5", "a"), FrfSettings())]
     assert again.settings["inputs"]["tip"]["delay"] == pytest.approx(1e-4, rel=1e-2)
+
+
+def test_two_inputs_with_a_high_pass_each_give_the_models_frf_below_their_corners_too(rig):
+    changes = [
+        ("gain = 0.93\n", "highpass = 1.6\n"),
+        ("gain = 1.04\nnoise = 0.005\n", ""),
+        ("highpass = 0.5", "highpass = 1.6"),
+        ('unit = "g"\nsensitivity = 0.1\n', 'quantity = "displacement"\nsensitivity = 1e5\n'),
+    ]
+    text = RIG + SHAKER.replace("low = 4", "low = 1").replace("drop_periods = 1", "drop_periods = 2")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    rig.write_text(text)
+    (rig.parent / "model.toml").write_text(MODEL)
+    structure = read_model(rig.parent / "model.toml").structure
+    run(rig, "--inputs", "--reference-highpass", 1.6, "--seconds", 20)
+    (found,) = measure(read_rig(rig), rig.parent / "out.h5").frfs.values()
+    low = found.lines(0.5, 4.5)
+    exact = frf(structure, structure.nominal, low.frequency, low.outputs, low.inputs)
+    assert low.frequency[0] == 1.0
+    np.testing.assert_allclose(low.value / exact, 1.0, atol=0.01)

@@ -175,6 +175,17 @@ def test_a_corrected_frf_is_the_one_without_its_inputs(highpass):
     assert corrected(back, {"other": InputResponse(1.0)}) is back
 
 
+def test_what_a_common_signal_tells_of_two_high_passes_takes_both_out():
+    f = np.arange(1.0, 400.0)
+    tip, force = InputResponse(1e-4, 1.6), InputResponse(highpass=1.6)
+    ratio = (tip.at(f) / force.at(f))[None, None]
+    found = from_common_signal(Frf(f, ratio, (ACC,), (FORCE,)), reference_highpass=1.6)
+    assert found["f"] == force
+    truth = 1 / (100.0 - f**2 + 2j * f)
+    back = corrected(Frf(f, truth * ratio, (ACC,), (FORCE,)), found)
+    np.testing.assert_allclose(back.value[0, 0], truth, rtol=1e-6)
+
+
 def test_inputs_of_the_simulated_bench_are_found_and_taken_out_of_its_frf():
     """A shaker run with a late and an AC-coupled channel: calibrated on a common voltage, corrected, exact again."""
     chain = Chain(masses={"1": 2.0}, links=(Link("1", "ground", 8e4, 60.0),))

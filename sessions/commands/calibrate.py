@@ -166,8 +166,14 @@ def _mass(found: Rig, channel: str, kilograms: float, against: str, band: str, o
 
 
 def _inputs(found: Rig, reference: str, highpass: float, options: dict[str, Any]) -> list[Entry]:
+    from math import inf
+
+    from labnnum.errors import ConfigError
     from sessions.calibrating import inputs, row_of
     from sessions.calibration import input_entries
+
+    if not 0 <= highpass < inf:
+        raise ConfigError(f"--reference-highpass {highpass:g}: expected a corner in Hz, or 0 if it is DC coupled")
 
     names = [c.name for c in found.channels]
     reference = names[row_of(found, reference)] if reference else names[0]
@@ -232,6 +238,8 @@ def _line(entry: Entry, unit: str) -> str:
     from sessions.calibration import FullScaleEntry, InputEntry, SensitivityEntry
 
     how = f"({entry.method}; {entry.date})"
+    if isinstance(entry, InputEntry) and entry.channel == entry.reference:
+        return f"{entry.channel}: the reference, high-pass {entry.highpass:.4g} Hz as stated {how}"
     if isinstance(entry, InputEntry):
         return (
             f"{entry.channel}: {1e6 * entry.delay:.2f} ± {1e6 * entry.delay_error:.2g} µs late, high-pass"
