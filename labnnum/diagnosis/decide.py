@@ -110,26 +110,28 @@ def decide(
     if verdict == "consistent" and changes is not None and changes > CHANGES:
         verdict = "unexplained"
         reason = f"the FRFs change by {changes:.0%} with level, which no linear structure does, and nothing explains it"
+    besides = reason if gated and verdict == "unexplained" else ""
+    told = bool(named)
     if gated:
         named = (*gated, *named)
         verdict = "measurement-fault" if named[0].term.mechanism.domain == "channel" else "missing-physics"
     place = named[0].place if named else None
     if verdict == "unexplained":
-        place = selection.chain[1].last.place if reason == HELD else _best_place(selection)
+        place = selection.chain[1].last.place if reason == HELD else _best_place(selection, limits)
     alternatives = _alternatives(engine, stage, final, test, limits, named)
-    source = final if named else base
+    source = final if told else base
     n = engine.theta0.size
     std = np.sqrt(np.diag(source.fit.covariance)[:n])
     if verdict == "consistent" and _moved(engine, base.fit):
         verdict = "parameters"
-    if len(named) == len(gated):
+    if not told:
         extended_error = base_error
     if raw is not None:
         base_error = errors_of(engine, trimmed(engine, choose_lines(raw[0], 400), base.fit, scatter), *raw)
     detail = {
         "engine": engine, "data": data, "train": train, "test": test, "base": plain_base,
-        "final": plain_final if named else plain_base, "selection": selection, "general": general, "reason": reason,
-        "bayes": source.fit, "base_bayes": base.fit,
+        "final": plain_final if told else plain_base, "selection": selection, "general": general, "reason": reason,
+        "bayes": source.fit, "base_bayes": base.fit, "besides": besides,
     }  # fmt: skip
     shown = Diagnosis(
         verdict, named, place, alternatives, located, 1.0 / max(len(train.outputs) * len(train.inputs), 1), base_error,
@@ -265,15 +267,17 @@ def named_of(made: Fit, i: int, confidence: float, scatter: Scatter) -> Named:
     return Named(term, value, with_scale(term.parameters, value, std, scatter.residue), confidence)
 
 
-def _best_place(selection: Selection) -> Place | None:
+def _best_place(selection: Selection, limits: Limits) -> Place | None:
+    """Where most is missing; None where nothing that acts at a place gains more than scatter does."""
     base, law = selection.chain[0], selection.general
     near = min((c.cost for c in (*selection.chain[:2], law) if c is not None), default=np.inf)
     if selection.free is not None and selection.free.cost < near:
         return selection.free.last.place
     if len(selection.chain) < 2:
-        if law is not None and law.cost < base.cost:
+        if law is not None and base.cost - law.cost > limits.alarm:
             return law.last.place
-        return next((place for place, _ in _located(selection)), None)
+        least = limits.alarm / base.fit.objective
+        return next((place for place, share in _located(selection) if share > least), None)
     best = selection.chain[1]
     if law is not None and law.cost < best.cost:
         return law.last.place

@@ -25,6 +25,7 @@ from labnnum.mechanisms.base import Mechanism, Term
 from labnnum.mechanisms.extended import ExtendedStructure
 from labnnum.mechanisms.local_law import FreeLaw, LocalLaw, PairLaw
 from labnnum.mechanisms.loose import LooseChannel, LooseSupport
+from labnnum.parameters import Parameter
 from labnnum.structures.base import Structure
 
 if TYPE_CHECKING:
@@ -91,11 +92,7 @@ def diagnose(
     gate = pass_gates(observations)
     progress("estimating")
     moving, usable, later = drifted(gate.usable, held_out)
-    train, test = split_runs(usable, later)
-    if span is not None:
-        train, test = train.lines(*span), test.lines(*span)
-    if train.frequency.size < 8:
-        raise EstimationError(_too_few(train.frequency.size, gate.usable, span))
+    train, test = _split(usable, later, span)
     band = (float(train.omega[0]), float(train.omega[-1]))
     if len(train.inputs) > len(train.outputs):
         scatter = by_hand(scatter)
@@ -140,9 +137,32 @@ def diagnose(
     gated = (*gate.named, *((moving,) if moving else ()))
     raw = None
     if moving is not None:
-        raw = split_runs(gate.usable, held_out)
-        raw = raw if span is None else (raw[0].lines(*span), raw[1].lines(*span))
+        raw = _split(gate.usable, held_out, span)
     return decide(engine, train, test, selection, scatter, limits, observations, general, gated, raw)
+
+
+def _split(
+    usable: Sequence[Observation], later: Sequence[Observation], span: tuple[float, float] | None
+) -> tuple[Frf, Frf]:
+    """FRFs to fit and held out on the lines of `span`, all of them if None."""
+    fitted, foretold = (_within(some, span) for some in (usable, later))
+    if not fitted:
+        raise EstimationError(_too_few(0, usable, span))
+    if later and not foretold:
+        labels, (low, high) = ", ".join(o.label for o in later), span or (0.0, np.inf)
+        raise EstimationError(f"{labels}: held out, and no line between {low:.4g} and {high:.4g} Hz is left of it")
+    train, test = split_runs(fitted, foretold)
+    if train.frequency.size < 8:
+        raise EstimationError(_too_few(train.frequency.size, usable, span))
+    return train, test
+
+
+def _within(some: Sequence[Observation], span: tuple[float, float] | None) -> list[Observation]:
+    """Those of which lines lie inside the span, on these alone."""
+    if span is None:
+        return list(some)
+    cut = (replace(o, frf=o.frf.lines(*span)) for o in some)
+    return [o for o in cut if o.frf.frequency.size]
 
 
 def _too_few(n: int, observations: Sequence[Observation], span: tuple[float, float] | None) -> str:
@@ -180,8 +200,22 @@ def _taken_apart(structure: Structure, train: Frf) -> tuple[Structure, list[tupl
                 term = replace(term, data={"swap": (at, names.index(term.place.to))})
             else:
                 term = replace(term, data={"channel": at})
-        initial.append((term.fitted, np.array([p.nominal for p in added.parameters])))
+        values = np.array([p.nominal for p in added.parameters])
+        if term.data.get("extra_mode"):
+            term, values = _seen_by(term, values, train)
+        initial.append((term.fitted, values))
     return structure.inner, initial
+
+
+def _seen_by(term: Term, values: NDArray, train: Frf) -> tuple[Term, NDArray]:
+    """A mode that the model does not have, and its values, as these responses see it; nothing where no sensor was."""
+    known = dict(zip(term.data.get("dofs", ()), zip(term.parameters[2:], values[2:], strict=True), strict=True))
+    rows = [known.get(c.dof, (Parameter("", 0.0, -np.inf, np.inf), 0.0)) for c in train.outputs]
+    names = [f"residue_{c.name}" for c in train.outputs]
+    shape = tuple(replace(p, name=name) for name, (p, _) in zip(names, rows, strict=True))
+    parameters = (*term.parameters[:2], *shape)
+    seen = replace(term, parameters=parameters, starts=np.zeros((0, len(parameters))), data={"extra_mode": True})
+    return seen, np.array([*values[:2], *(value for _, value in rows)])
 
 
 def _held(structure: Structure) -> list[Fault]:

@@ -25,7 +25,7 @@ from labnnum.diagnosis.irregular import Irregular
 from labnnum.diagnosis.mesh import FINE, Inside
 from labnnum.diagnosis.point import Point, Response, State
 from labnnum.diagnosis.remainder import Remainder
-from labnnum.errors import ModelError
+from labnnum.errors import ChannelError, ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import Site, Term
 from labnnum.mechanisms.changes import Change
@@ -81,6 +81,9 @@ class Engine:
         self._attached: dict[tuple[int, ...], tuple[Attached, tuple[Term, ...]]] = {}
         self._grids: dict[tuple[int, int, int], tuple] = {}
         self._turns: dict[tuple[float, float], NDArray[np.float64]] = {}
+        odd = next((c for c in self.outputs if c.quantity not in MOTION_ORDER), None)
+        if odd is not None:
+            raise ChannelError(f"channel {odd.name!r} measures {odd.quantity}: a response of a model is a motion")
         self.rise = np.array([MOTION_ORDER[c.quantity] for c in self.outputs])
         self.sign_out = np.array([c.sign for c in self.outputs])
         self.sign_in = np.array([c.sign for c in self.inputs])
@@ -245,7 +248,8 @@ class Engine:
             pushed = made.mass @ moved + np.concatenate([self.held_load, made.own_load])
             load = -(whole.T @ pushed)[:, None]
             high_in = -(pushed[:n] @ self.high)[None]
-            d_load = np.array([-(whole.T @ (dm @ moved))[:, None] for dm, _ in made.slopes]).reshape(n_par, -1, 1)
+            d_load = np.array([-(whole.T @ (dm @ moved))[:, None] for dm, _ in made.slopes])
+            d_load = d_load.reshape(n_par, whole.shape[1], 1)
         else:
             r = np.zeros(n)
             load = shape.T @ drives.T

@@ -58,14 +58,15 @@ def pass_gates(observations: Sequence[Observation]) -> Gate:
     distorted = any(_spread_distortion(o) for o, c in zip(observations, clips, strict=True) if not c)
     if not names:
         return Gate((), tuple(observations), distorted)
-    name = max(set(names), key=names.count)
+    name = max(dict.fromkeys(names), key=names.count)
     affected = [o for o, c in zip(observations, clips, strict=True) if c == name]
     level = min(o.peaks.get(name, np.nan) for o in affected)
     unit = next(c.unit for o in affected for c in (*o.frf.outputs, *o.frf.inputs) if c.name == name)
     parameter = Parameter("rail", level, 0.0, np.inf, unit)
     term = Term(ChannelClipping(), Place("channel", name), (parameter,), np.zeros((0, 1)))
     found = Named(term, np.array([level]), np.array([0.01 * level]), 0.99)
-    clean = [o for o, c in zip(observations, clips, strict=True) if c != name]
+    every = list(zip(observations, clips, strict=True))
+    clean = [o for o, c in every if not c] or [o for o, c in every if c != name]
     without = [made for o in observations if (made := _without(o, name)) is not None]
     needed = at_rail or _others_change(name, clean, affected)
     if not clean or (needed and len(without) == len(observations) and len(without[0].frf.outputs) > 1):
@@ -267,8 +268,10 @@ def drifted(
     ratios = [o.drift for o in observations if o.drift > 0]
     if not ratios or float(np.median(ratios)) < CHANGED or _level_outweighs(observations):
         return same
-    sizes = [_stiffness_change(o) for o in observations if o.drift_slope is not None]
-    value, std = float(np.mean(sizes)), float(np.std(sizes) / np.sqrt(max(len(sizes), 1)) + 1e-6)
+    sizes, stds = np.transpose([_stiffness_change(o) for o in observations if o.drift_slope is not None])
+    value, std = float(np.mean(sizes)), float(np.sqrt(np.sum(stds**2))) / sizes.size
+    if sizes.size > 1:
+        std = max(std, float(np.std(sizes, ddof=1) / np.sqrt(sizes.size)))
     return _drift(value, std, float(min(0.999, 1 - np.exp(-3 * (np.median(ratios) - 1))))), same[1], same[2]
 
 
@@ -316,8 +319,9 @@ def _level_outweighs(observations: Sequence[Observation]) -> bool:
     return bool(np.linalg.norm(high.value - low.value) / size > BESIDE * within)
 
 
-def _stiffness_change(o: Observation) -> float:
-    """Relative change of all stiffness over the run: the halves differ by half of it, and frequency by half of that.
+def _stiffness_change(o: Observation) -> tuple[float, float]:
+    """Relative change of all stiffness over the run, and its standard deviation by what a stretch leaves of the halves'
+    difference: the halves differ by half of the change, and frequency by half of that.
 
     The measured FRF's own derivative to a common stretch of frequency stands for the model's.
     """
@@ -326,5 +330,7 @@ def _stiffness_change(o: Observation) -> float:
     omega = o.frf.omega
     stretch = -np.gradient(h, omega, axis=2) * omega
     weight = np.ones_like(np.abs(h)) if o.frf.variance is None else 1.0 / np.maximum(o.frf.variance, 1e-300)
-    common = np.sum(weight * np.real(np.conj(stretch) * change))
-    return float(4 * common / np.sum(weight * np.abs(stretch) ** 2))
+    size = np.sum(weight * np.abs(stretch) ** 2)
+    part = np.sum(weight * np.real(np.conj(stretch) * change)) / size
+    left = np.sum(weight * np.abs(change - part * stretch) ** 2) / max(2 * change.size - 1, 1)
+    return float(4 * part), float(4 * np.sqrt(left / size))

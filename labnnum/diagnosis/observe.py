@@ -66,11 +66,12 @@ def observe(recording: Recording, lead: int | None = None) -> Observation:
     recording = longest_stretch(recording)
     x = used(recording)
     repeats = x.shape[1] // recording.period if recording.period else 1
-    clipped = {c.name: clipping(row, repeats) for c, row in zip(recording.channels, x, strict=True)}
+    heard = [(c.name, row) for c, row in zip(recording.channels, x, strict=True) if c.role != "monitor"]
+    clipped = {name: clipping(row, repeats) for name, row in heard}
     clipped = {n: c for n, c in clipped.items() if c.score > 0}
     level = float(np.sqrt(np.mean(x[recording.inputs[0]] ** 2)))
     made = _periodic(recording) if recording.period else _random(recording, lead)
-    peaks = {c.name: float(np.max(np.abs(row))) for c, row in zip(recording.channels, x, strict=True)}
+    peaks = {name: float(np.max(np.abs(row))) for name, row in heard}
     return replace(made, level=level, clipped=clipped, peaks=peaks)
 
 
@@ -399,9 +400,21 @@ def observe_all(recordings: Sequence[Recording]) -> list[Observation]:
     sensors = {tuple((r.channels[i].name, r.channels[i].dof) for i in r.outputs) for _, r in hits}
     if len(points) > 1 and len(sensors) == 1:
         return [*out, roving(list(points.values()))]
-    for group in _levels(hits):
-        out.append(replace(observe_hits([r for _, r in group]), order=tuple(i for i, _ in group)))
+    for some in _set_ups(hits):
+        length = min(b - a for _, r in some for a, b in r.spans())  # one window for all, as one model sees them
+        for group in _levels(some):
+            seen = observe_hits([r for _, r in group], length)
+            out.append(replace(seen, order=tuple(i for i, _ in group)))
     return out
+
+
+def _set_ups(hits: Sequence[tuple[int, Recording]]) -> list[list[tuple[int, Recording]]]:
+    """Hits, with their numbers, by what was measured where, and how often."""
+    groups: dict[tuple, list[tuple[int, Recording]]] = {}
+    for i, r in hits:
+        key = tuple((c.name, c.role, c.dof, c.sign, c.quantity) for c in r.channels)
+        groups.setdefault((r.rate, key), []).append((i, r))
+    return list(groups.values())
 
 
 def _leads(recordings: Sequence[Recording]) -> list[int]:

@@ -4,12 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
 from labnnum.diagnosis.observe import Observation
 from labnnum.errors import ChannelError
 from labnnum.frf import Frf
+from labnnum.recording import Channel
+
+
+class Measured(Protocol):
+    """What has outputs and inputs."""
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        """Responses."""
+        ...
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        """Forces, or the base."""
+        ...
+
+
+def places_of_channels(frf: Measured) -> list[tuple]:
+    """What each output and input is, and where: name, degree of freedom, sense, quantity."""
+    return [(c.name, c.dof, c.sign, c.quantity) for c in (*frf.outputs, *frf.inputs)]
+
+
+def require_one_set_up(observations: Sequence[Observation]) -> None:
+    """ChannelError where runs differ in their channels, their places, or the window that they are seen through."""
+    first = observations[0]
+    channels, decay = places_of_channels(first.frf), float(first.frf.settings.get("window_decay", 0.0))
+    for o in observations[1:]:
+        if places_of_channels(o.frf) != channels:
+            raise ChannelError(
+                f"{o.label}: its channels, or their places, differ from those of {first.label}; expected one"
+                " set-up, or hits at several points with the same sensors"
+            )
+        if not np.isclose(float(o.frf.settings.get("window_decay", 0.0)), decay, rtol=1e-9, atol=0.0):
+            raise ChannelError(
+                f"{o.label}: its FRFs are seen through another exponential window than those of {first.label}; expected"
+                " hits alone, at one sample rate, or no hits"
+            )
 
 
 def pool(observations: Sequence[Observation]) -> Frf:
@@ -18,13 +56,7 @@ def pool(observations: Sequence[Observation]) -> Frf:
     A scatter between runs beyond their noise (remounts, level) is added to the variance.
     """
     first = observations[0].frf
-    channels = [(c.name, c.dof) for c in (*first.outputs, *first.inputs)]
-    for o in observations[1:]:
-        if [(c.name, c.dof) for c in (*o.frf.outputs, *o.frf.inputs)] != channels:
-            raise ChannelError(
-                f"{o.label}: its channels, or their places, differ from those of {observations[0].label}; expected one"
-                " set-up, or hits at several points with the same sensors"
-            )
+    require_one_set_up(observations)
     if len(observations) == 1:
         return first
     step = np.min(np.concatenate([np.diff(o.frf.frequency) for o in observations])) * 0.25

@@ -11,6 +11,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.objective import Problem, frequency_spread
 from labnnum.diagnosis.point import Point
+from labnnum.diagnosis.pool import places_of_channels
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.search import broaden
 from labnnum.diagnosis.task import choose_lines, data_of
@@ -59,7 +60,7 @@ def foretold(engine: Engine, made: Fit, test: Frf, scatter: Scatter) -> float:
     nothing, and a fault of one row among many, or of a few lines, is not lost in their errors. NaN where the held-out
     channels are not those of the fit.
     """
-    if [c.name for c in (*test.outputs, *test.inputs)] != [c.name for c in (*engine.outputs, *engine.inputs)]:
+    if places_of_channels(test) != places_of_channels(engine):
         return float("nan")
     problem = Problem(engine, data_of(choose_lines(test), scatter), made.terms, scatter)
     return problem.marginal(made.point.vector())
@@ -69,7 +70,7 @@ def predicted(engine: Engine, made: Fit, frf: Frf) -> NDArray[np.complex128]:
     """FRFs of a fitted model on the lines and channels of `frf`, which need not be those it was fitted to."""
     s = float(frf.settings.get("window_decay", 0.0)) + 1j * frf.omega
     point = made.point
-    if [c.name for c in frf.inputs] != [c.name for c in engine.inputs] or len(frf.outputs) != len(engine.outputs):
+    if places_of_channels(frf) != places_of_channels(engine):
         other = Engine(engine.structure, frf.outputs, frf.inputs, engine.band)
         other.refine(engine.finer)
         if engine.coupling is not None:

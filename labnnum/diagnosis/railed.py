@@ -64,12 +64,13 @@ def _of_runs(loud: Sequence[Observation]) -> dict[str, float]:
 def _of_hits(o: Observation) -> dict[str, float]:
     """Channels whose hardest hits end at one reading while those of the others do not."""
     every = [peaks_of(r.data[:, a:b]) for r in o.recordings for a, b in r.spans()]
-    names = [c.name for c in o.recordings[0].channels] if o.recordings else []
+    kept = [i for i, c in enumerate(o.recordings[0].channels) if c.role != "monitor"] if o.recordings else []
+    names = [o.recordings[0].channels[i].name for i in kept]
     if len(every) < HITS or len(names) < 3:
         return {}
-    hardest = np.sort(np.array(every), axis=0)[-HITS:]
+    hardest = np.sort(np.array(every)[:, kept], axis=0)[-HITS:]
     spread = hardest.max(axis=0) / np.maximum(hardest.min(axis=0), 1e-300) - 1.0
-    noise = np.max([[noise_level(x) for x in r.data] for r in o.recordings], axis=0)
+    noise = np.max([[noise_level(x) for x in r.data[kept]] for r in o.recordings], axis=0)
     limit = np.clip(NOISES * noise / np.maximum(hardest.min(axis=0), 1e-300), EXACT, ALIKE)
     out: dict[str, float] = {}
     for i, name in enumerate(names):

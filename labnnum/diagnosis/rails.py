@@ -28,6 +28,8 @@ def rails_of(recordings: Sequence[Recording]) -> tuple[dict[str, Clip], dict[str
     peaks: dict[str, float] = {}
     for r in recordings:
         for c, x in zip(r.channels, r.data, strict=True):
+            if c.role == "monitor":  # a tachometer's pulses end at one reading
+                continue
             peaks[c.name] = max(peaks.get(c.name, 0.0), float(np.max(np.abs(x))))
             found = clipping(x) if c.role != "reference" else flat_top(x)
             if found.score > max(clipped[c.name].score if c.name in clipped else 0.0, 0.0):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labnnum.diagnosis.observe import Observation
-from labnnum.diagnosis.pool import pool
+from labnnum.diagnosis.pool import pool, require_one_set_up
 from labnnum.frf import Frf
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ def split_runs(observations: Sequence[Observation], held_out: Sequence[Observati
     if held_out:
         return pool(observations), pool(held_out)
     if len(observations) > 1:
+        require_one_set_up(observations)
         kept = kept_back(observations)
         rest = [o for i, o in enumerate(observations) if i not in kept]
         return pool(rest), pool([observations[i] for i in sorted(kept)])

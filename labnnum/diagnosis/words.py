@@ -94,7 +94,8 @@ def _found(d: Diagnosis) -> str:
             f" From the first sample to the last all natural frequencies {'rose' if creep.change > 0 else 'fell'} by"
             f" {_percent(abs(creep.change))}; what else is said here holds for the middle of the session."
         )
-    return f"{'; and '.join(parts)}.{told} {_gained(d)}{_astray(d)}{_in_step(d)}{_equal(d)}{_undecided(d)}{_beside(d)}"
+    more = (_astray, _in_step, _equal, _undecided, _beside, _besides)
+    return f"{'; and '.join(parts)}.{told} {_gained(d)}{''.join(say(d) for say in more)}"
 
 
 MANY, ALIKE = 5, 1.5
@@ -114,6 +115,9 @@ def _anywhere(d: Diagnosis) -> str:
 
 def _gained(d: Diagnosis) -> str:
     """What the error was and is, and of which data."""
+    if d.extended_error == d.base_error:
+        left = f"{_percent(d.base_error[1])} (noise {_percent(d.noise_floor)})"
+        return f"What is believed of the runs the model explains to {left}."
     of = "held-out error" if d.held_apart else "error of the runs, all of which were fitted,"
     change = f"from {_percent(d.base_error[1])} to {_percent(d.extended_error[1])} (noise {_percent(d.noise_floor)})"
     alone = "" if d.held_apart else " None was left to be held out: a second run of a level would judge the answer."
@@ -139,6 +143,12 @@ def _undecided(d: Diagnosis) -> str:
         return ""
     some = " or ".join(f"{name} at {place}" for name, place in found.undecided)
     return f" Beside what is named acts {some}: the data do not tell which."
+
+
+def _besides(d: Diagnosis) -> str:
+    """What is missing beside what the gates found, and has no name."""
+    why = d.detail.get("besides")
+    return f" Beside it something is missing that the data do not give a name: {why}." if why else ""
 
 
 def _in_step(d: Diagnosis) -> str:
@@ -203,10 +213,14 @@ def next_experiment(d: Diagnosis, observations: Sequence[Observation]) -> str:
     return _next(d, observations)
 
 
+APART = 1.2
+"""Ratio of two levels from which they tell whether FRFs change with level."""
+
+
 def _next(d: Diagnosis, observations: Sequence[Observation]) -> str:
-    levels = {round(o.level, 12) for o in observations}
+    levels = [o.level for o in observations if np.isfinite(o.level)]
     if d.verdict in ("consistent", "parameters"):
-        if len(levels) < 2:
+        if max(levels, default=0.0) < APART * min(levels, default=1.0):
             return "One level cannot tell linear from nonlinear: repeat at two and at four times the level."
         return ""
     if d.verdict == "unexplained":

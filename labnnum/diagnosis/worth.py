@@ -12,8 +12,9 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.prediction import errors_of, foretold, trimmed
 from labnnum.diagnosis.scatter import Data, Scatter
-from labnnum.diagnosis.task import Candidate, Selection, dispersion, settled
+from labnnum.diagnosis.task import Candidate, Selection, count, dispersion, settled
 from labnnum.diagnosis.verdict import Limits
+from labnnum.errors import ModelError
 from labnnum.frf import Frf
 
 
@@ -124,16 +125,21 @@ def worthwhile(
     last = selection.chain[kept]
     while kept and len(stages) > 1:
         leaner = [
-            _without(engine, data, last, len(before.terms) + i, selection.scatter, stages) for i in range(len(stages))
+            _without(engine, data, last, len(before.terms) + i, selection.scatter, stages, limits)
+            for i in range(len(stages))
         ]
-        used = [trimmed(engine, lines, c.fit, scatter) for c in leaner]
-        left = [judge.errors(made) for made in used]
-        scores = [judge.score(c.fit) for c in leaner]
+        used = [last.fit if c is None else trimmed(engine, lines, c.fit, scatter) for c in leaner]
+        nothing = (np.inf, np.inf)
+        left = [nothing if c is None else judge.errors(made) for c, made in zip(leaner, used, strict=True)]
+        scores = [np.inf if c is None else judge.score(c.fit) for c in leaner]
         i = min(range(len(left)), key=lambda k: left[k][1])
         if left[i][1] > 1.1 * error[1] or _foreseen(selection, (scores[i], score), 1, limits, (left[i][1], error[1])):
             last, stages = _foremost(last, len(before.terms), stages, [t[1] for t in left])
             break
-        last, plain, error, score = leaner[i], used[i], left[i], scores[i]
+        made = leaner[i]
+        if made is None:
+            break
+        last, plain, error, score = made, used[i], left[i], scores[i]
         stages = (*stages[:i], *stages[i + 1 :])
     steps = [replace(last, terms=last.terms[: len(before.terms) + i + 1]) for i in range(len(stages) - 1)]
     return replace(selection, chain=(before, *steps, last) if kept else (before,), stages=stages), plain, error
@@ -166,15 +172,23 @@ def _foremost(
 
 def _without(
     engine: Engine, data: Data, last: Candidate, which: int, scatter: Scatter,
-    stages: Sequence[tuple[Candidate, ...]],
-) -> Candidate:  # fmt: skip
-    """The last model without one of its terms, fitted anew; or the same model as it came by in the search."""
+    stages: Sequence[tuple[Candidate, ...]], limits: Limits,
+) -> Candidate | None:  # fmt: skip
+    """The last model without one of its terms, fitted anew; or the same model as it came by in the search. None where
+    it is no structure without that.
+    """
     sizes = np.cumsum([0, *(t.n for t in last.terms)])
     terms = (*last.terms[:which], *last.terms[which + 1 :])
     point = replace(last.fit.point, terms=np.delete(last.fit.point.terms, np.arange(sizes[which], sizes[which + 1])))
-    made = fit(engine, data, terms, scatter, point.vector(), steps=25)
-    met = [c.fit for stage in stages for c in stage if c.terms == terms]
-    return Candidate(terms, min([made, *met], key=lambda f: f.objective), last.cost)
+    try:
+        made = fit(engine, data, terms, scatter, point.vector(), steps=25)
+    except ModelError:
+        return None
+    met = [c for stage in stages for c in stage if c.terms == terms]
+    price = last.cost - last.fit.objective - limits.parameter * count(last.terms[which])
+    price = min((c.cost - c.fit.objective for c in met), default=price)
+    best = min([made, *(c.fit for c in met)], key=lambda f: f.objective)
+    return Candidate(terms, best, best.objective + price)
 
 
 def missing(

@@ -123,7 +123,7 @@ def thickness_of(site: Site) -> Thickness | None:
     shears, gains, lengths, turning, moving, coarse = [], [], [], [], [], []
     density, waves = _line_density(site), []
     for a, b in site.mesh:
-        found = element_stiffness(site, a, b)
+        found = element_stiffness(site, a, b) if a in site.nodes and b in site.nodes else None
         if found is None or density <= 0:
             continue
         arm = np.subtract(site.nodes[b], site.nodes[a])

@@ -131,12 +131,12 @@ class Structure(ABC):
     def rigid_derivatives(self, theta: NDArray) -> NDArray[np.float64]:
         """Exact derivatives of `rigid`, shape (n_parameters, n)."""
         rows = [np.imag(self.rigid(_stepped(theta, j))) / STEP for j in range(len(self.parameters))]
-        return np.array(rows).reshape(len(rows), -1)
+        return np.array(rows).reshape(len(rows), np.size(self.rigid(theta)))
 
     def base_load_derivatives(self, theta: NDArray) -> NDArray[np.float64]:
         """Exact derivatives of `base_load`, shape (n_parameters, n)."""
         rows = [np.imag(self.base_load(_stepped(theta, j))) / STEP for j in range(len(self.parameters))]
-        return np.array(rows).reshape(len(rows), -1)
+        return np.array(rows).reshape(len(rows), np.size(self.rigid(theta)))
 
     def require_dof(self, dof: str) -> int:
         """Number of `dof` among `dofs`; ModelError that lists what there is."""

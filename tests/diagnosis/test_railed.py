@@ -39,7 +39,7 @@ def hits(sizes, rail=np.inf, kind="hammer"):
         SimpleNamespace(
             data=np.array([s * shape, np.minimum(2 * s * shape, rail), 3 * s * shape]),
             spans=lambda: [(0, shape.size)],
-            channels=tuple(SimpleNamespace(name=n) for n in ("force", "b", "c")),
+            channels=tuple(SimpleNamespace(name=n, role="response") for n in ("force", "b", "c")),
         )
         for s in sizes
     ]
