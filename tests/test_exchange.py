@@ -1,14 +1,16 @@
 """Exchange: what is exported comes back, and what others wrote is read as they meant it."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from labnnum.errors import ConfigError, FileError
+from labnnum.errors import ChannelError, ConfigError, FileError
 from labnnum.frf import Frf
 from labnnum.recording import Channel, Recording
 from sessions.channels import parse_channels
@@ -395,6 +397,44 @@ class TestFrfTables:
         assert_allclose(after.value[0, 0], before.value[0, 0] * 9.80665e-3, rtol=1e-14)
         assert_allclose(after.value[1, 1], before.value[1, 1] * 1e-3, rtol=1e-14)
         assert np.isnan(after.n_averages)
+
+    @pytest.mark.parametrize(("n_out", "n_in"), [(2, 2), (3, 3), (3, 2), (1, 3), (3, 1)])
+    @pytest.mark.parametrize("kind", ["npz", "mat"])
+    def test_frequencies_may_come_first_and_every_pair_stays_itself(self, tmp_path, n_out, n_in, kind):
+        f = np.arange(1.0, 8)
+        value = 10 * np.arange(n_out)[:, None, None] + np.arange(n_in)[:, None] + 1j * f
+        first = {
+            "f": f, "H": np.moveaxis(value, -1, 0), "V": np.moveaxis(np.abs(value), -1, 0),
+            "C": np.linspace(0, 1, f.size * n_out).reshape(f.size, n_out),
+        }  # fmt: skip
+        if kind == "npz":
+            np.savez(tmp_path / "x.npz", **first)
+        else:
+            scipy.io.savemat(tmp_path / "x.mat", first)
+        told = parse_channels(
+            '[frf]\nfrequency = "f"\nvalue = "H"\ncoherence = "C"\nvariance = "V"\n'
+            + "".join(f'[[channel]]\nname = "a{o}"\nquantity = "acceleration"\n' for o in range(n_out))
+            + "".join(f'[[channel]]\nname = "f{i}"\nrole = "reference"\n' for i in range(n_in))
+        )
+        after = load_frf(tmp_path / f"x.{kind}", told)
+        assert_array_equal(after.value, value)
+        assert_array_equal(after.variance, np.abs(value))
+        assert_array_equal(after.coherence, first["C"].T)
+
+    @pytest.mark.parametrize("shape", [(2, 3, 7), (7, 2, 3), (3, 7, 2), (2, 7, 3), (3, 14), (6, 8)])
+    def test_an_array_in_another_order_is_refused_with_the_shapes_that_are_taken(self, tmp_path, shape):
+        np.savez(tmp_path / "x.npz", f=np.arange(1.0, 8), H=np.ones(shape, complex))
+        told = parse_channels(
+            '[frf]\nfrequency = "f"\nvalue = "H"\n[[channel]]\nname = "a"\n[[channel]]\nname = "b"\n'
+            '[[channel]]\nname = "c"\n[[channel]]\nname = "f"\nrole = "reference"\n'
+            '[[channel]]\nname = "g"\nrole = "reference"\n'
+        )
+        said = (
+            rf"frf.value: an array of {shape} is neither [outputs, inputs, frequencies] (3, 2, 7) nor"
+            " [frequencies, outputs, inputs] (7, 3, 2); or as rows (6, 7), outputs slowest"
+        )
+        with pytest.raises(ChannelError, match=re.escape(said)):
+            load_frf(tmp_path / "x.npz", told)
 
     def test_one_file_for_each_pair_with_magnitude_and_phase(self, tmp_path):
         f = np.arange(1.0, 20)

@@ -256,18 +256,34 @@ def _from_array(
         raise ConfigError(f"{channels.name}: frf.value, or a [[frf.row]] for each output and input, is missing")
 
     def shaped(source: Source, key: str, shape: tuple[int, ...]) -> NDArray:
-        array = np.asarray(files[0].pick(source, f"frf.{key}"))
-        for candidate in (array, array.T):
-            if candidate.size == np.prod(shape) and candidate.shape[-1] == frequency.size:
-                return candidate.reshape(shape)
-        raise ChannelError(
-            f"{files[0].path}: frf.{key}: an array of {array.shape} is not [outputs, inputs, frequencies] {shape}"
-        )
+        return _in_order(np.asarray(files[0].pick(source, f"frf.{key}")), shape, f"{files[0].path}: frf.{key}")
 
     value = shaped(spec.value, "value", (n_out, n_in, frequency.size)).astype(complex)
     coherence = None if spec.coherence is None else shaped(spec.coherence, "coherence", (n_out, frequency.size))
     variance = None if spec.variance is None else shaped(spec.variance, "variance", value.shape)
     return value, coherence, variance
+
+
+def _in_order(array: NDArray, shape: tuple[int, ...], where: str) -> NDArray:
+    """The array as `shape`, frequencies last; three axes pair outputs with inputs and are never shuffled.
+
+    ChannelError names the shapes that are taken.
+    """
+    *sides, n = shape
+    if array.ndim > 2:
+        for candidate in (array, np.moveaxis(array, 0, -1)):
+            if candidate.shape == shape:
+                return candidate
+    else:
+        row = np.atleast_2d(array)
+        for candidate in (row, row.T):
+            if candidate.shape == (np.prod(sides), n):
+                return candidate.reshape(shape)
+    words = "outputs, inputs" if len(sides) == 2 else "outputs"
+    raise ChannelError(
+        f"{where}: an array of {array.shape} is neither [{words}, frequencies] {shape} nor [frequencies, {words}]"
+        f" {(n, *sides)}; or as rows {(int(np.prod(sides)), n)}, outputs slowest"
+    )
 
 
 def _from_rows(
