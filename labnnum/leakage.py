@@ -248,14 +248,15 @@ def view_of(
     Parameters
     ----------
     settings : mapping
-        `Frf.settings`. Imported FRFs, whose window is unknown, and period averages, which do not leak, give None.
+        `Frf.settings`. Imported FRFs, whose window is unknown, and whole periods and bursts, which do not leak,
+        give None.
     lines : array_like, optional
         Frequencies of the estimate, in Hz.
     refine, input_psd, reach
         As for `WindowView`.
     """
     name, n, rate = settings.get("window"), settings.get("n_segment"), settings.get("rate")
-    if settings.get("periodic") or not (isinstance(name, str) and n and rate):
+    if settings.get("periodic") or settings.get("burst") or not (isinstance(name, str) and n and rate):
         return None
     if lines is None:
         lines = np.arange(int(n) // 2 + 1) * (float(rate) / int(n))

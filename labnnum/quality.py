@@ -197,7 +197,8 @@ class Resonance:
 def leakage_verdicts(frf: Frf, bands: Sequence[Band] = ()) -> list[Verdict]:
     """Lines per half-power bandwidth at every clear resonance, with the n_segment that would be enough.
 
-    FRFs whose window is unknown, from period averages, or from hits, which do not leak that way, give an empty list.
+    FRFs whose window is unknown, and those from whole periods, whole bursts or hits, which do not leak that way, give
+    an empty list.
     """
     verdicts = []
     for row, channel in enumerate(frf.outputs):
@@ -219,7 +220,7 @@ def resonances(frf: Frf, row: int, prominence: float = 8.0) -> list[Resonance]:
     Of a wide peak the half-power width is used.
     """
     name, n = frf.settings.get("window"), frf.settings.get("n_segment")
-    whole = frf.settings.get("periodic") or frf.settings.get("transient")
+    whole = any(frf.settings.get(key) for key in ("periodic", "burst", "transient"))
     if whole or not isinstance(name, str) or not n or frf.frequency.size < 16:
         return []
     step = frf.settings["rate"] / n

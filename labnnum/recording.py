@@ -132,6 +132,10 @@ class Recording:
         The excitation level that was asked for, in the unit of the plan; NaN if not stated.
     label : str
         Where it came from (file or run), for messages.
+    burst : int
+        Samples from the start of one burst of noise to that of the next, its silence included; 0 if there are none.
+    bursts : sequence of int
+        Samples at which a burst begins. A stretch that begins in the midst of one waits for the next.
     """
 
     channels: tuple[Channel, ...]
@@ -144,6 +148,8 @@ class Recording:
     drop_periods: int = 0
     level: float = float("nan")
     label: str = field(default="recording")
+    burst: int = 0
+    bursts: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", tuple(self.channels))
@@ -159,6 +165,7 @@ class Recording:
             raise EstimationError(f"{self.label}: sample rate {self.rate} must be positive")
         inside = sorted({int(b) for b in self.breaks if 0 < b < data.shape[1]})
         object.__setattr__(self, "breaks", tuple(inside))
+        object.__setattr__(self, "bursts", tuple(sorted(int(b) for b in self.bursts)))
         object.__setattr__(self, "excluded", tuple((int(a), int(b)) for a, b in self.excluded))
         object.__setattr__(self, "overloads", tuple((int(c), int(a), int(b)) for c, a, b in self.overloads))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal, Protocol
@@ -86,6 +86,9 @@ class Welch:
     Segments never cross a break or an excluded range of a recording, and any block size that a stream arrives
     in gives the same bits as one pass.
 
+    Under a boxcar whole periods of a periodic recording, and whole bursts, do not leak: each stretch loses its
+    `drop_periods`, or what comes before its first burst, and the settings say "periodic" or "burst".
+
     Parameters
     ----------
     n_segment : int
@@ -166,36 +169,72 @@ class Welch:
         self._require_stretch(batch)
         running = self.start(batch[0].channels, batch[0].rate)
         for recording in batch:
-            for start, stop in recording.spans():
+            for start, stop in self.stretches(recording):
                 running.add(recording.data[:, start:stop])
                 running.gap()
         self._require_segments(running, batch)
         spectra = running.spectra()
+        return replace(spectra, settings=spectra.settings | self._without_leakage(batch))
+
+    def stretches(self, recording: Recording) -> Iterator[tuple[int, int]]:
+        """Sample ranges (start, stop) that segments are cut from: spans past their transient, from a burst's start."""
+        for start, stop in recording.spans():
+            if self._repeats(recording):
+                start += recording.drop_periods * recording.period
+            elif self._bursts(recording):
+                start = next((at for at in recording.bursts if at >= start), stop)
+            if start < stop:
+                yield start, stop
+
+    def _repeats(self, recording: Recording) -> bool:
+        """Whether every segment holds whole periods and nothing shapes it."""
+        period = recording.period
+        return self.window == "boxcar" and period > 0 and self.n_segment % period == 0
+
+    def _bursts(self, recording: Recording) -> bool:
+        """Whether every segment holds whole bursts with their silence."""
+        burst = recording.burst
+        return self.window == "boxcar" and burst > 0 and self.n_segment % burst == 0 and self.hop % burst == 0
+
+    def _without_leakage(self, batch: Sequence[Recording]) -> dict[str, Any]:
+        """What the settings say where the segments' ends cut nothing off, or only the decay of a hit."""
+        if all(self._repeats(r) for r in batch):
+            return {"periodic": True}
+        if all(self._bursts(r) for r in batch):
+            return {"burst": True}
         pulse = pulse_place(batch, self.n_segment, self.hop) if self.window == "boxcar" else None
-        if pulse is None:
-            return spectra
-        return replace(spectra, settings=spectra.settings | {"transient": True, "pretrigger": pulse})
+        return {} if pulse is None else {"transient": True, "pretrigger": pulse}
+
+    def _longest(self, batch: Sequence[Recording]) -> int:
+        """Samples of the longest stretch."""
+        return max((b - a for r in batch for a, b in self.stretches(r)), default=0)
 
     def _require_stretch(self, batch: Sequence[Recording]) -> None:
-        longest = _longest(batch)
-        if longest < self.n_segment:
+        longest, first = self._longest(batch), batch[0]
+        if longest >= self.n_segment:
+            return
+        if self._repeats(first) and first.drop_periods:
             raise EstimationError(
-                f"{batch[0].label}: n_segment {self.n_segment} is longer than the longest unbroken stretch of {longest}"
-                f" samples; lower n_segment to {max(2, longest // 8)} or less"
+                f"{first.label}: no span holds a segment of {self.n_segment} samples after its {first.drop_periods}"
+                " transient periods; record longer or lower drop_periods"
             )
+        if self._bursts(first):
+            raise EstimationError(
+                f"{first.label}: no span holds a segment of {self.n_segment} samples from the start of a burst;"
+                " record longer"
+            )
+        raise EstimationError(
+            f"{first.label}: n_segment {self.n_segment} is longer than the longest unbroken stretch of {longest}"
+            f" samples; lower n_segment to {max(2, longest // 8)} or less"
+        )
 
     def _require_segments(self, running: Accumulator, batch: Sequence[Recording]) -> None:
         if running.n_segments >= (1 if self.window == "boxcar" else 2):
             return
         raise EstimationError(
             f"{batch[0].label}: only one segment of {self.n_segment} fits, and one average has no coherence and no"
-            f" error; lower n_segment to {max(2, _longest(batch) // 8)} or less, or record longer"
+            f" error; lower n_segment to {max(2, self._longest(batch) // 8)} or less, or record longer"
         )
-
-
-def _longest(batch: Sequence[Recording]) -> int:
-    """Samples of the longest unbroken stretch."""
-    return max((b - a for r in batch for a, b in r.spans()), default=0)
 
 
 @lru_cache(maxsize=32)

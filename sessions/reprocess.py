@@ -34,9 +34,9 @@ class FrfSettings:
         "H1", "H2", "Hv", "periodic" (averaging of periods), "local" (rational functions of the whole record), or
         "auto": periodic where a period is known.
     segment : int or None
-        Samples in a segment, or of each hit that are used.
+        Samples in a segment, or of each hit that are used; None is a period, or a burst with its silence.
     window : str or None
-        One of `labnnum.windows.WINDOWS`; None is "hann" for noise and none for hits.
+        One of `labnnum.windows.WINDOWS`; None is "hann" for noise and none for hits, periods and bursts.
     overlap : float or None
         Share of a segment that the next repeats; None is one half under a window and nothing under "boxcar".
     hits : bool or None
@@ -91,17 +91,17 @@ def are_hits(recordings: Sequence[Recording]) -> bool:
 
 
 def groups(recordings: Sequence[Recording]) -> list[list[Recording]]:
-    """Recordings that belong in one estimate: the same channels, rate, period and level."""
+    """Recordings that belong in one estimate: the same channels, rate, period, bursts and level."""
     out: dict[tuple[Any, ...], list[Recording]] = {}
     for r in recordings:
         level = None if np.isnan(r.level) else r.level
-        out.setdefault((r.channels, r.rate, r.period, level), []).append(r)
+        out.setdefault((r.channels, r.rate, r.period, r.burst, level), []).append(r)
     return list(out.values())
 
 
 def chosen(recordings: Sequence[Recording], settings: FrfSettings) -> FrfSettings:
     """The settings with everything decided that was left open."""
-    period = recordings[0].period
+    period, whole = recordings[0].period, recordings[0].period or recordings[0].burst
     estimator = settings.estimator
     welch = settings.window is not None or settings.overlap is not None or settings.segment is not None
     if estimator == "auto":
@@ -113,9 +113,9 @@ def chosen(recordings: Sequence[Recording], settings: FrfSettings) -> FrfSetting
         hits = settings.window is None and settings.overlap is None and are_hits(recordings)
     if hits:
         return replace(settings, estimator=estimator, hits=True, window="boxcar", overlap=0.0)
-    window = settings.window or ("boxcar" if period else "hann")
+    window = settings.window or ("boxcar" if whole else "hann")
     overlap = settings.overlap if settings.overlap is not None else 0.0 if window == "boxcar" else 0.5
-    segment = settings.segment or period or _usual_segment(recordings)
+    segment = settings.segment or whole or _usual_segment(recordings)
     return replace(settings, estimator=estimator, hits=False, window=window, overlap=overlap, segment=segment)
 
 

@@ -296,11 +296,31 @@ class Run:
         noted = [c for c, _, _ in self._notes("overloads")]
         return tuple(int(n) + noted.count(i) for i, n in enumerate(own))
 
+    def bursts(self) -> tuple[int, tuple[int, ...]]:
+        """Samples from burst to burst, and the stored samples at which one begins; 0 and none without bursts.
+
+        They are counted from the stretch that the bench kept, which begins with a burst, lost frames included. After
+        an overflow, before which frames are missing that nobody counted, no burst's place is known.
+        """
+        played, hits, blocks = self.info.get("excitation", {}), self.hits, self.blocks
+        if played.get("kind") != "burst random" or not hits:
+            return 0, ()
+        period, first = int(played["period"]), hits[0].start
+        begun = max(int(np.searchsorted(blocks["at"], first, side="right")) - 1, 0)
+        frame = int(blocks["start"][begun]) + first - int(blocks["at"][begun])
+        lost = np.flatnonzero((blocks["overflow"] > 0) & (blocks["at"] > first))
+        found: list[int] = []
+        for b in blocks[begun : int(lost[0]) if lost.size else None]:
+            at, frames = int(b["at"]), int(b["frames"])
+            found += range(at + (frame - int(b["start"])) % period, at + frames, period)
+        return period, tuple(at for at in found if at >= first)
+
     def recording(self) -> Recording:
         """All samples in SI units; breaks at gaps and hits; what is no accepted hit, or overflowed, excluded."""
         n, hits, blocks = self.n_samples, self.hits, self.blocks
         starts = [h.start for h in hits if h.accepted]
         overflow = [(int(b["at"]), int(b["at"] + b["frames"])) for b in blocks[blocks["overflow"] > 0]]
+        burst, bursts = self.bursts()
         return Recording(
             self.channels,
             self.read(),
@@ -312,6 +332,8 @@ class Run:
             drop_periods=self.drop_periods,
             level=self.level,
             label=self.label,
+            burst=burst,
+            bursts=bursts,
         )
 
     def _notes(self, key: str) -> list:

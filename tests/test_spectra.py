@@ -59,6 +59,37 @@ def test_no_segment_spans_a_break_or_an_excluded_range():
     assert one.n_averages == pooled.n_averages
 
 
+def test_segments_of_bursts_wait_for_the_start_of_one_after_a_gap():
+    data = noise(2, 4000)
+    told = {"burst": 500, "bursts": (0, 500, 1000, 1500, 2170, 2670, 3170, 3670)}
+    whole = Recording(channels(2), data, RATE, breaks=(1720,), excluded=((400, 450),), **told)
+    starts = (500, 1000, 2170, 2670, 3170)
+    parts = [Recording(channels(2), data[:, a : a + 500], RATE) for a in starts]
+    welch = Welch(500, "boxcar", 0.0)
+    found = welch(whole)
+    np.testing.assert_allclose(found.cross, welch(parts).cross, rtol=1e-12)
+    assert (found.n_segments, found.settings["burst"]) == (5, True)
+    assert "burst" not in Welch(300, "boxcar", 0.0)(whole).settings
+    assert "burst" not in Welch(500, "hann", 0.0)(whole).settings
+    nowhere = Recording(channels(2), data, RATE, burst=500)
+    with pytest.raises(EstimationError, match="no span holds a segment of 500 samples from the start of a burst"):
+        welch(nowhere)
+
+
+def test_whole_periods_lose_their_transient_and_are_marked():
+    data = noise(2, 4000)
+    repeated = Recording(channels(2), data, RATE, period=250, drop_periods=2)
+    found = Welch(500, "boxcar", 0.0)(repeated)
+    later = Welch(500, "boxcar", 0.0)(Recording(channels(2), data[:, 500:], RATE))
+    np.testing.assert_array_equal(found.cross, later.cross)
+    assert found.settings["periodic"]
+    assert "periodic" not in later.settings
+    assert "periodic" not in Welch(400, "boxcar", 0.0)(repeated).settings
+    assert "periodic" not in Welch(500, "hann", 0.0)(repeated).settings
+    with pytest.raises(EstimationError, match="no span holds a segment of 3750 samples after its 2 transient periods"):
+        Welch(3750, "boxcar", 0.0)(repeated)
+
+
 def test_a_break_that_is_ignored_would_show():
     data = noise(2, 4000)
     data[:, 2000:] += 50

@@ -33,8 +33,11 @@ NEEDED = ("window", "n_segment", "rate")
 
 
 def view_settings(frf: Frf) -> dict[str, Any]:
-    """The settings of an Frf that its window's view of a model depends on; empty where none applies."""
-    if frf.settings.get("periodic") or any(frf.settings.get(k) is None for k in NEEDED):
+    """The settings of an Frf that its window's view of a model depends on; empty where none applies.
+
+    Whole periods ("periodic") and whole bursts ("burst") do not leak, whatever was estimated from them.
+    """
+    if frf.settings.get("periodic") or frf.settings.get("burst") or any(frf.settings.get(k) is None for k in NEEDED):
         return {}
     return {k: frf.settings[k] for k in KEYS if k in frf.settings}
 
