@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.exciter import Exciter
-from labnnum.errors import SafetyError
+from labnnum.errors import InputError, SafetyError
 from sessions.display import Display
 from sessions.guard import Guard
 from sessions.items import Item
@@ -26,6 +26,14 @@ LIT = 3.0
 
 class UserStopError(SafetyError):
     """The person asked for the end; the output has been switched off."""
+
+
+def shown(estimate: Callable[[], Curves | None]) -> Curves | None:
+    """What there is to draw; nothing where the data give no estimate (yet): what is only shown ends no measurement."""
+    try:
+        return estimate()
+    except (InputError, np.linalg.LinAlgError):
+        return None
 
 
 @dataclass(eq=False)
@@ -140,7 +148,7 @@ class Desk:
         return Snapshot(
             s.state,
             **view,
-            curves=s.curves(),
+            curves=shown(s.curves),
             hit=s.hit,
             hits=s.hits,
             progress=tuple(self._progress),

@@ -22,10 +22,10 @@ from labnnum.hammer import (
 from labnnum.hits import gate
 from labnnum.recording import Recording
 from labnnum.verdict import Verdict
-from sessions.desk import Desk
+from sessions.desk import Desk, shown
 from sessions.items import trigger_row
 from sessions.runs import Run
-from sessions.snapshot import HitLine, curves, failed_checks
+from sessions.snapshot import Curves, HitLine, curves, failed_checks
 
 REACHED = 1e-2
 """Power of the force over its largest from which a line counts as excited."""
@@ -66,6 +66,7 @@ class HammerRun:
         self.enough = self._doubted = False
         for run in earlier:
             self._recall(run)
+        self._recalled = len(self._lines)
 
     @property
     def accepted(self) -> list[int]:
@@ -99,8 +100,10 @@ class HammerRun:
             self._say_what_to_do(detector.busy)
             if self._obey() or (self.complete and self._plan.auto):
                 break
-            if len(self._lines) >= self._plan.most:
-                desk.say(f"{len(self._lines)} hits and only {len(self.accepted)} accepted; giving up this point")
+            taken = len(self._lines) - self._recalled
+            if taken >= self._plan.most:
+                before = f", {self._recalled} before" if self._recalled else ""
+                desk.say(f"{taken} hits{before}, and only {len(self.accepted)} accepted; giving up this point")
                 break
         self.enough = self.complete
         self._choose()
@@ -241,8 +244,12 @@ class HammerRun:
         self._say_what_to_do()
         status.hits = tuple(self._lines)
         status.hit = last if last is not None else status.hit
-        running = curves(H1(self.processor())(self.recording())) if self.accepted else None
+        running = shown(self._curves) if self.accepted else None
         status.curves = lambda: running
+
+    def _curves(self) -> Curves:
+        """FRFs of the accepted hits."""
+        return curves(H1(self.processor())(self.recording()))
 
     def _say_what_to_do(self, busy: bool = False) -> None:
         status, plan = self.desk.status, self._plan

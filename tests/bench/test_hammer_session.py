@@ -109,6 +109,38 @@ def test_a_point_that_gives_nothing_is_given_up(tmp_path):
     assert any("giving up" in m for m in outcome.messages)
 
 
+def test_a_point_that_was_given_up_has_as_many_attempts_when_it_is_taken_up_again(tmp_path):
+    changes = ("peak = 150\n", "peak = 150\ndouble = 1.0\n"), ("hits = 3", "hits = 3\nmost = 4")
+    rig = hammer_rig(tmp_path, *changes, ('points = ["1:x", "2:x"]', 'points = ["1:x"]'))
+    for attempt in (1, 2):
+        outcome = measure(rig, tmp_path / "out.h5")
+        assert outcome.items == {"hammer 1:x": "gave up"}
+        with open_session(tmp_path / "out.h5") as session:
+            assert [len(run.hits) for run in session.runs] == [4] * attempt
+    assert any("4 hits, 4 before, and only 0 accepted; giving up" in m for m in outcome.messages)
+
+
+@pytest.mark.parametrize("best", ["", "\nbest = 2"])
+def test_accepted_hits_of_a_dead_response_end_no_run_and_the_point_can_be_taken_up_again(tmp_path, best):
+    """The person's word stands for the checks': what it gives is another matter."""
+    changes = (
+        ('points = ["1:x", "2:x"]', 'points = ["1:x"]'),
+        ("hits = 3", f"hits = 3{best}"),
+        ("noise = 0.02", "gain = 0"),
+    )
+    rig = hammer_rig(tmp_path, *changes)
+    outcome = measure(rig, tmp_path / "out.h5", Quiet([(1, "accept 0"), (2, "accept 1"), (3, "stop")]))
+    assert outcome.items == {"hammer 1:x": "stopped by the user"}
+    display = Quiet([(4, "accept 3")])
+    outcome = measure(rig, tmp_path / "out.h5", display)
+    assert outcome.items == {"hammer 1:x": "complete"}
+    assert any("no FRF of hammer 1:x" in m and "'a2' is constant" in m for m in outcome.messages)
+    assert display.last is not None
+    assert display.last.curves is None
+    with open_session(tmp_path / "out.h5") as session:
+        assert [h.reason for run in session.runs for h in run.hits if h.accepted][0] == "accepted by the user"
+
+
 def test_a_hit_at_another_point_is_found(tmp_path):
     rig = hammer_rig(tmp_path)
     measure(rig, tmp_path / "whole.h5")

@@ -5,7 +5,7 @@ import pytest
 
 from labnnum.response import frf
 from sessions.bench import measure
-from sessions.display import Display
+from sessions.display import Display, Quiet
 from sessions.items import waveform
 from sessions.model import read_model
 from sessions.reprocess import FrfSettings, reprocess
@@ -115,6 +115,44 @@ def test_a_recording_without_excitation(tmp_path):
         recording = session.recordings()[0]
     assert recording.duration >= 3.0
     assert recording.data[1].std() == pytest.approx(0.01, rel=0.1)
+
+
+class Eager(Quiet):
+    """Asks for a picture after every block."""
+
+    def wants(self):
+        return True
+
+
+RANDOM = (
+    ('kind = "multisine"', 'kind = "random"\nduration = 10\ncontrol = "force"'),
+    ("levels = [0.5, 2.0]", "levels = [1.0]"),
+    ("[safety]", "[processing]\nsegment = 1024\n[safety]"),
+)
+
+
+def test_two_inputs_are_shown_once_enough_is_recorded_and_never_end_the_run(tmp_path):
+    second = '[[channel]]\nname = "foot"\nrole = "reference"\nquantity = "acceleration"\nsensitivity = 0.1\nnode = "1"'
+    rig = shaker_rig(tmp_path, *RANDOM, ("[generator]", f'{second}\ndirection = "x"\n[generator]'))
+    display = Eager()
+    outcome = measure(rig, tmp_path / "out.h5", display)
+    assert outcome.items == {"random 1 #1": "complete"}
+    assert display.last is not None
+    assert display.last.curves is not None
+    assert display.last.curves.names == ("a2 / force", "a2 / foot")
+
+
+def test_a_dead_response_is_recorded_and_told(tmp_path):
+    rig = shaker_rig(tmp_path, *RANDOM, ("noise = 0.01", "gain = 0"))
+    display = Eager()
+    outcome = measure(rig, tmp_path / "out.h5", display)
+    assert outcome.items == {"random 1 #1": "complete"}
+    assert display.last is not None
+    assert display.last.curves is None
+    assert any("no FRF of random 1" in m and "'a2' is constant" in m for m in outcome.messages)
+    with open_session(tmp_path / "out.h5") as session:
+        held = session.runs[0].hits[0]
+        assert held.stop - held.start == 10 * 1024
 
 
 def test_the_item_that_is_measured_is_marked_while_its_level_is_raised(tmp_path):
