@@ -26,12 +26,12 @@ from sessions.items import Item, items, runs_of, waveform
 from sessions.recorder import Recorder
 from sessions.reprocess import FrfSettings, estimate, played_lines
 from sessions.rig import Rig
-from sessions.runs import Run
+from sessions.runs import COMPLETE, Run
 from sessions.shaker import ShakerRun, SteppedRun
 from sessions.snapshot import Progress
 from sessions.store import Session, create_session, discard_empty, open_session
 
-COMPLETE, STOPPED, GO_ON = "complete", "stopped by the user", "the same command goes on from here"
+STOPPED, GO_ON = "stopped by the user", "the same command goes on from here"
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,9 +293,7 @@ def _groups(session: Session, plan: Sequence[Item]) -> dict[str, list[Run]]:
     out: dict[str, list[Run]] = {}
     for item in plan:
         name = item.key.split(" #")[0]
-        kept = [r for r in runs_of(item, session.runs) if any(h.accepted for h in r.hits)]
-        if item.kind != "hammer":
-            kept = [r for r in kept if r.finished == COMPLETE]
+        kept = [r for r in runs_of(item, session.runs) if not r.unusable]
         if kept:
             out.setdefault(name, []).extend(kept)
     return out

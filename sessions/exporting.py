@@ -12,8 +12,8 @@ from sessions.store import open_session
 
 
 def chosen_recordings(source: Path, number: int | None = None, channels: Path | None = None) -> list[Recording]:
-    """All recordings of a session or file, or the one of that number, counted from 1."""
-    found = read_any(source, channels)
+    """All recordings of a session or file, or the one of that number, counted from 1; cut off or rejected ones too."""
+    found = _every_run(source) or read_any(source, channels)
     if isinstance(found, Frf):
         raise FileError(f"{source}: holds FRFs and no recordings; export with --frf")
     if number is None:
@@ -21,6 +21,14 @@ def chosen_recordings(source: Path, number: int | None = None, channels: Path | 
     if not 1 <= number <= len(found):
         raise FileError(f"{source}: there is no run {number}; there are {len(found)}, counted from 1")
     return [found[number - 1]]
+
+
+def _every_run(source: Path) -> list[Recording]:
+    """All that a session holds; nothing of other files."""
+    if source.suffix.lower() not in SESSION_SUFFIXES:
+        return []
+    with open_session(source) as session:
+        return [run.recording() for run in session.runs if run.n_samples]
 
 
 def chosen_frf(source: Path, number: int | None = None, channels: Path | None = None) -> Frf:

@@ -222,17 +222,27 @@ def reprocess(
         Open for appending; its raw data are not touched.
     settings : FrfSettings
     runs : sequence of int
-        Numbers of the runs to use; all if empty.
+        Numbers of the runs to use; if empty, all that may be used: accepted, and complete where a generator played.
     progress : callable
         Told how many groups are done, and of how many.
+
+    Raises
+    ------
+    EstimationError
+        If there is no such run, or one that is named, or every one, may not be used: it says why.
     """
     known = {run.index: run for run in session.runs}
     missing = [n for n in runs if n not in known]
     if missing:
         raise EstimationError(f"{session.path}: there is no run {missing[0]}; there are {_listed(list(known))}")
-    kept = [known[n] for n in (runs or sorted(known)) if known[n].n_samples]
-    if not kept:
+    asked = [known[n] for n in (runs or sorted(known)) if known[n].n_samples]
+    if not asked:
         raise EstimationError(f"{session.path}: there are no samples to estimate from")
+    left_out = {run.index: why for run in asked if (why := run.unusable)}
+    kept = [run for run in asked if run.index not in left_out]
+    if not kept or (runs and left_out):
+        said = "; ".join(f"run {n} {why}" for n, why in left_out.items())
+        raise EstimationError(f"{session.path}: cannot be used: {said}")
     recordings = {run.index: run.recording() for run in kept}
     batches = groups(list(recordings.values()))
     out = []
@@ -242,6 +252,7 @@ def reprocess(
         frf = without_inputs(estimate(batch, settings, played_lines(mine)), mine)
         said = {k: v for k, v in asdict(chosen(batch, settings)).items() if v is not None}
         told = {"runs": used, "requested": said, "basis": _basis(mine), **_level(batch), **_left_out(batch, settings)}
+        told |= {"left_out": {str(n): why for n, why in left_out.items()}} if left_out else {}
         out.append((session.add_frf(frf, told, name=_title(used, batch)), frf))
         progress(i + 1, len(batches))
     return out

@@ -19,6 +19,12 @@ from labnnum.recording import Channel, Recording
 from sessions import tables
 from sessions.tables import Node, StoredChannel
 
+COMPLETE = "complete"
+"""How a run ended that came to its end."""
+
+CUT = "cut off"
+"""What is said of the end of a run that did not come to note it."""
+
 _HIT = (("start", "i8"), ("stop", "i8"), ("info", tables.TEXT))
 _JUDGEMENT = (
     ("hit", "i4"),
@@ -174,6 +180,21 @@ class Run:
         return tables.read_json(self._group, "info")
 
     @property
+    def unusable(self) -> str:
+        """Why no estimate may rest on the run; "" where one may, as on every recording that no plan asked for.
+
+        Of a run of a plan an accepted hit, or the stretch at the level asked for, must be there; with a generator it
+        must have come to its end as well.
+        """
+        item, ended = str(self.info.get("item", "")), self.finished
+        if not item or item == "record":
+            return ""
+        hits = self.hits
+        if not any(hit.accepted for hit in hits):
+            return f"none of its {len(hits)} hits is accepted" if hits else f"ended before it counted ({ended or CUT})"
+        return "" if item.startswith("hammer ") or ended == COMPLETE else f"is not complete ({ended or CUT})"
+
+    @property
     def n_samples(self) -> int:
         """Samples stored per channel."""
         with self._host.guard:
@@ -253,7 +274,7 @@ class Run:
         with self._host.transaction():
             self._judge(index, accepted, reason, verdicts)
 
-    def finish(self, how: str = "complete") -> None:
+    def finish(self, how: str = COMPLETE) -> None:
         """Note that the run ended, and how ("complete", "stopped by the user", "abort: ...")."""
         with self._host.transaction():
             self._group.attrs["finished"] = how

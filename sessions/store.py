@@ -248,9 +248,14 @@ class Session:
         return tuple(self._run(name) for name in sorted(map(str, self._root["runs"]), key=int))
 
     def recordings(self) -> list[Recording]:
-        """Every run that holds samples, as a Recording in SI units."""
+        """Every run that holds samples and may be used, as a Recording in SI units; see `left_out`."""
         with _naming(self.path):
-            return [run.recording() for run in self.runs if run.n_samples]
+            return [run.recording() for run in self.runs if run.n_samples and not run.unusable]
+
+    def left_out(self) -> dict[int, str]:
+        """Number of each run that holds samples and may not be used -> why: it was cut off, or no hit is accepted."""
+        with _naming(self.path):
+            return {run.index: run.unusable for run in self.runs if run.n_samples and run.unusable}
 
     @property
     def rig_text(self) -> str:

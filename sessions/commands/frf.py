@@ -44,9 +44,10 @@ def frf(
     """Estimate FRFs with coherence and random error, and store them in the session.
 
     Runs with the same channels, rate, period and level are averaged together; other levels get an FRF of their
-    own. Try as many settings as you like: each estimate is stored beside the others with the settings that made
-    it, and the raw data are never touched. What is left open is decided from the recordings: periods are averaged
-    where a period is known, hits are taken one by one, and noise is cut into segments under a Hann window.
+    own. Runs of a plan that were cut off, or without an accepted hit, are left out and named. Try as many settings as
+    you like: each estimate is stored beside the others with the settings that made it, and the raw data are never
+    touched. What is left open is decided from the recordings: periods are averaged where a period is known, hits and
+    bursts are taken one by one, and noise is cut into segments under a Hann window.
 
     A low coherence is named with its likely cause: noise, leakage (a longer segment helps), nonlinearity, an
     overload. One average has coherence 1 whatever the data, and is not called good.
@@ -175,6 +176,7 @@ def _text(said: dict[str, Any]) -> str:
         told = "no coherence" if mean is None else f"mean coherence {mean:.4f}"
         peaks = ", ".join(f"{f:.6g}" for f in said["peaks"][name])
         lines.append(f"  {name}: {told}" + (f"; peaks {peaks} Hz" if peaks else ""))
+    lines += [f"  note: run {n} is left out: it {why}" for n, why in used.get("left_out", {}).items()]
     if used.get("overloaded_seconds"):
         lines.append(f"  note: {used['overloaded_seconds']:.4g} s with overloads are left out")
     lines += [f"  warning: {v['reason']}" for v in said["verdicts"] if not v["ok"]]

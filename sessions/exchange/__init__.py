@@ -54,7 +54,7 @@ def read_any(path: str | Path, channels: str | Path | ChannelMap | None = None) 
     Parameters
     ----------
     path : path
-        Told apart by its ending; `FORMATS` lists them.
+        Told apart by its ending; `FORMATS` lists them. Of a session's plan only what was accepted and complete.
     channels : path or ChannelMap, optional
         channels.toml. If None: `<name>.channels.toml` beside the file, what the file itself carries (NPZ, MAT and
         CSV that labnnum exported, universal files), or channels.toml beside the file, in this order.
@@ -62,7 +62,7 @@ def read_any(path: str | Path, channels: str | Path | ChannelMap | None = None) 
     Raises
     ------
     FileError
-        If the file is missing, truncated, or of no known format.
+        If the file is missing, truncated, or of no known format; or no run of a session may be used.
     ConfigError, ChannelError, UnitError
         If channels.toml does not fit it.
     """
@@ -210,10 +210,12 @@ def _read_session(path: Path) -> list[Recording] | Frf:
     from sessions.store import open_session
 
     with open_session(path) as session:
-        recordings = session.recordings()
+        recordings, left_out = session.recordings(), session.left_out()
         frfs = [] if recordings else session.frfs()
     if recordings:
         return recordings
+    if left_out:
+        raise FileError(f"{path}: no run of it can be used: {'; '.join(f'run {n} {w}' for n, w in left_out.items())}")
     if frfs:
         return frfs[-1]
     raise FileError(f"{path}: this session holds no samples yet")

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labnnum.errors import ConfigError, DeviceLostError
+from labnnum.errors import ConfigError, DeviceLostError, EstimationError, FileError
 from sessions import bench
 from sessions.bench import measure
 from sessions.display import Quiet
+from sessions.exchange import load_recordings
+from sessions.exporting import chosen_recordings
 from sessions.items import items
+from sessions.reprocess import FrfSettings, reprocess
 from sessions.store import open_session
 
 from .rigs import HAMMER, hammer_rig, replay_of, rig_of, shaker_rig
@@ -32,9 +35,50 @@ def test_a_lost_device_leaves_what_was_recorded_and_the_plan_goes_on(tmp_path, m
         assert sum(h.accepted for r in first for h in r.hits) == 3
 
 
-def _vanishing(rig):
+def _vanishing(rig, after=2.2):
     s = rig.toml.simulated
-    return s.model_copy(update={"faults": s.faults.model_copy(update={"vanish": 2.2})})
+    return s.model_copy(update={"faults": s.faults.model_copy(update={"vanish": after})})
+
+
+@pytest.mark.parametrize(
+    ("make", "after", "why"),
+    [
+        (hammer_rig, 0.6, r"run 1 ended before it counted \(abort: the simulated device was unplugged after 0.6 s\)"),
+        (shaker_rig, 1.5, r"run 1 ended before it counted \(abort: the simulated device was unplugged after 1.5 s\)"),
+    ],
+)
+def test_a_run_that_ended_before_it_counted_enters_no_estimate(tmp_path, make, after, why):
+    rig, path = make(tmp_path), tmp_path / "out.h5"
+    broken = replace(rig, toml=rig.toml.model_copy(update={"simulated": _vanishing(rig, after)}))
+    with pytest.raises(DeviceLostError, match="unplugged"):
+        measure(broken, path)
+    assert len(chosen_recordings(path)) == 1
+    with pytest.raises(FileError, match=f"no run of it can be used: {why}"):
+        load_recordings(path)
+    with open_session(path, "a") as session, pytest.raises(EstimationError, match=f"cannot be used: {why}"):
+        reprocess(session, FrfSettings())
+    measured = list(measure(rig, path).frfs.values())
+    assert len(load_recordings(path)) == 2
+    assert len(chosen_recordings(path)) == 3
+    with open_session(path, "a") as session:
+        found = [frf for _, frf in reprocess(session, FrfSettings(hits=make is hammer_rig))]
+        assert [f.settings["left_out"].keys() for f in session.frfs()[-2:]] == [{"1"}, {"1"}]
+        with pytest.raises(EstimationError, match=why):
+            reprocess(session, FrfSettings(), runs=[1, 2])
+    for one, other in zip(found, measured, strict=False):
+        np.testing.assert_array_equal(one.value, other.value)
+
+
+def test_a_run_whose_hits_are_all_rejected_enters_no_estimate(tmp_path):
+    rig, path = hammer_rig(tmp_path, ('points = ["1:x", "2:x"]', 'points = ["1:x"]')), tmp_path / "out.h5"
+    measure(rig, path)
+    with open_session(path, "a") as session:
+        (run,) = session.runs
+        for hit in run.hits:
+            run.judge_hit(hit.index, False, "rejected by the user")
+        with pytest.raises(EstimationError, match="cannot be used: run 1 none of its 3 hits is accepted"):
+            reprocess(session, FrfSettings())
+        assert session.recordings() == []
 
 
 @pytest.mark.parametrize("make", [hammer_rig, shaker_rig])
