@@ -110,10 +110,10 @@ class Ring:
 
         With `rest` whatever is there. Called by the reader alone.
         """
+        written = self._written  # before the marks: of what lies ahead of it every mark is there by now
         self._absorb()
         lost, broken = self._gap_here()
         stop = self._stop(count)
-        written = self._written
         if written < stop:
             if not rest or written == self._read:
                 return None

@@ -59,6 +59,28 @@ def test_a_gap_ends_a_piece_early_so_that_it_lies_between_pieces():
     assert (len(second.data), second.broken, second.start) == (10, True, 10)
 
 
+class Interrupted(Ring):
+    """A ring into which a delivery comes while `take` is at work, just after it has looked at the marks."""
+
+    then = None
+
+    def _absorb(self):
+        super()._absorb()
+        put, self.then = self.then, None
+        if put is not None:
+            put()
+
+
+def test_a_gap_that_comes_while_frames_are_taken_lies_between_pieces_too():
+    ring = Interrupted(100, 2)
+    ring.put(numbered(0, 10), 0.0)
+    ring.then = lambda: ring.put(numbered(15, 10), 0.1, lost=5)
+    pieces = [p for p in (ring.take(16), ring.take(16), ring.take(16, rest=True)) if p is not None]
+    assert [(p.start, len(p.data), p.lost) for p in pieces] == [(0, 10, 0), (15, 10, 5)]
+    for piece in pieces:
+        np.testing.assert_array_equal(piece.data[:, 0], piece.start + np.arange(len(piece.data)))
+
+
 def test_deliveries_are_told_once_whether_or_not_frames_were_taken_in_between():
     ring = Ring(100, 1)
     for k in range(3):
