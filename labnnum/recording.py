@@ -92,6 +92,11 @@ class Channel:
         return f"{self.node}:{axis}" if self.node and axis else ""
 
     @property
+    def signal(self) -> Channel:
+        """The same without its sensitivity, which leaves no trace in samples in SI units: recalibrated, or not."""
+        return self if self.sensitivity is None else replace(self, sensitivity=None)
+
+    @property
     def sign(self) -> float:
         """-1.0 if the sensor points against its axis, else 1.0."""
         return -1.0 if self.direction.startswith("-") else 1.0

@@ -468,7 +468,7 @@ def pool(recordings: Recording | Sequence[Recording]) -> list[Recording]:
         raise EstimationError("there is no recording to estimate from")
     first = batch[0]
     for other in batch:
-        if other.channels != first.channels:
+        if not _alike(other.channels, first.channels):
             raise ChannelError(f"{other.label}: its channels differ from those of {first.label}; average them apart")
         if other.rate != first.rate:
             raise EstimationError(
@@ -476,6 +476,11 @@ def pool(recordings: Recording | Sequence[Recording]) -> list[Recording]:
             )
         _require_alive(other)
     return batch
+
+
+def _alike(channels: Sequence[Channel], others: Sequence[Channel]) -> bool:
+    """Whether channels hold the same signals, however their sensors were calibrated."""
+    return [c.signal for c in channels] == [c.signal for c in others]
 
 
 def _require_alive(recording: Recording) -> None:

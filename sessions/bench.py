@@ -23,8 +23,9 @@ from sessions.display import Display, Quiet
 from sessions.guard import Guard
 from sessions.hammer import HammerRun
 from sessions.items import Item, items, runs_of, waveform
+from sessions.pooling import Used, averaged
 from sessions.recorder import Recorder
-from sessions.reprocess import FrfSettings, estimate, played_lines
+from sessions.reprocess import FrfSettings, estimate_runs
 from sessions.rig import Rig
 from sessions.runs import COMPLETE, Run
 from sessions.shaker import ShakerRun, SteppedRun
@@ -254,7 +255,8 @@ def _listen(desk: Desk) -> None:
 def results(session: Session, rig: Rig, plan: Sequence[Item], messages: list[str] | None = None) -> dict[str, Frf]:
     """FRFs of what the session holds, stored unless they are there already: the same hits give the same bits.
 
-    Where data give none, `messages` say why; and which responses fall short of the coherence that the rig asks for.
+    Where data give none, `messages` say why; and which accepted hits are not used, and which responses fall short of
+    the coherence that the rig asks for.
     """
     out: dict[str, Frf] = {}
     if rig.toml.excitation.kind == "none":
@@ -266,11 +268,10 @@ def results(session: Session, rig: Rig, plan: Sequence[Item], messages: list[str
             if messages is not None:
                 messages.append(f"no FRF of {name}: {error}")
             continue
-        for title, frf in found.items():
-            basis = {str(r.index): [h.index for h in r.hits if h.accepted] for r in runs}
-            out[title] = _stored(session, title, frf, basis)
+        for title, (frf, used) in found.items():
+            out[title] = _stored(session, title, frf, used.basis)
             if messages is not None:
-                messages += [f"{title}: {text}" for text in _incoherent(frf, rig)]
+                messages += [f"{title}: {text}" for text in (*used.remarks, *_incoherent(frf, rig))]
     roved = _assembled(out, rig)
     if roved is not None:
         basis = {"points": {k: f.settings.get("basis") for k, f in out.items()}}
@@ -299,11 +300,12 @@ def _groups(session: Session, plan: Sequence[Item]) -> dict[str, list[Run]]:
     return out
 
 
-def _estimates(name: str, runs: Sequence[Run], rig: Rig) -> dict[str, Frf]:
+def _estimates(name: str, runs: Sequence[Run], rig: Rig) -> dict[str, tuple[Frf, Used]]:
+    """Title -> FRF, and what of the runs it rests on."""
     recordings = [r.recording() for r in runs]
     if rig.toml.excitation.kind == "stepped sine":
         return _stepped(name, runs, recordings)
-    return {name: without_inputs(estimate(recordings, settings(rig), played_lines(runs)), runs)}
+    return {name: estimate_runs(runs, recordings, settings(rig))}
 
 
 def settings(rig: Rig) -> FrfSettings:
@@ -321,16 +323,19 @@ def settings(rig: Rig) -> FrfSettings:
     return FrfSettings(method, p.segment, p.window, p.overlap, hits=False)
 
 
-def _stepped(name: str, runs: Sequence[Run], recordings: Sequence[Recording]) -> dict[str, Frf]:
-    out = {}
+def _stepped(name: str, runs: Sequence[Run], recordings: Sequence[Recording]) -> dict[str, tuple[Frf, Used]]:
+    """An FRF of each direction: the mean over realisations, weighted by their variances."""
+    made: dict[str, list[Frf]] = {}
+    basis: dict[str, dict[str, list[int]]] = {}
     for run, recording in zip(runs, recordings, strict=True):
         hits = [h for h in run.hits if h.accepted]
         for direction in dict.fromkeys(h.info["direction"] for h in hits):
             chosen = [h for h in hits if h.info["direction"] == direction]
-            spans = [(h.start, h.stop) for h in chosen]
-            made = tone_frf(recording, spans, [h.info["frequency"] for h in chosen])
-            out[f"{name} {direction}"] = without_inputs(made, [run])
-    return out
+            frf = tone_frf(recording, [(h.start, h.stop) for h in chosen], [h.info["frequency"] for h in chosen])
+            title = f"{name} {direction}"
+            made.setdefault(title, []).append(without_inputs(frf, [run]))
+            basis.setdefault(title, {})[str(run.index)] = [h.index for h in chosen]
+    return {title: (averaged(frfs, by_variance=True), Used(basis[title])) for title, frfs in made.items()}
 
 
 def _stored(session: Session, name: str, frf: Frf, basis: Mapping[str, Any]) -> Frf:
@@ -351,6 +356,8 @@ def _same(one: Frf, other: Frf) -> bool:
 def _assembled(found: Mapping[str, Frf], rig: Rig) -> Frf | None:
     """One FRF of all points of a roving plan; None where there is one point, or the points' lines differ."""
     parts = list(found.values())
+    if any(p.frequency[0] > 0 for p in parts):  # some inputs' high-passes took the line at 0 Hz
+        parts = [p.at(p.frequency > 0) for p in parts]
     if rig.toml.excitation.kind != "hammer" or len(parts) < 2:
         return None
     if any(not np.array_equal(p.frequency, parts[0].frequency) for p in parts):
@@ -363,7 +370,10 @@ def _assembled(found: Mapping[str, Frf], rig: Rig) -> Frf | None:
         value = np.concatenate([p.value for p in parts], axis=1)
         variance = _joined([p.variance for p in parts], 1)
         return Frf(first.frequency, value, first.outputs, inputs, None, variance, averages, first.estimator, told)
-    moved = [[c for c in p.outputs if any(c != q for q in _fixed(parts, c.name))] or list(p.outputs) for p in parts]
+    moved = [
+        [c for c in p.outputs if any(c.signal != q.signal for q in _fixed(parts, c.name))] or list(p.outputs)
+        for p in parts
+    ]
     rows = [[p.outputs.index(c) for c in m] for p, m in zip(parts, moved, strict=True)]
     outputs = tuple(replace(c, name=f"{c.name} {c.dof}") for m in moved for c in m)
     value = np.concatenate([p.value[r] for p, r in zip(parts, rows, strict=True)])

@@ -8,12 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from labnnum.calibration import corrected
 from labnnum.errors import EstimationError
 from labnnum.estimators import H1, H2, Hits, Hv, Welch, periodic
 from labnnum.frf import Frf
 from labnnum.local import local_frf
 from labnnum.recording import Recording
 from sessions.calibration import without_inputs
+from sessions.pooling import Inputs, Uncoloured, Used, alike, averaged, inputs_of, used_of
 from sessions.runs import Run
 from sessions.screen import require_unclipped
 from sessions.store import Session
@@ -91,11 +93,11 @@ def are_hits(recordings: Sequence[Recording]) -> bool:
 
 
 def groups(recordings: Sequence[Recording]) -> list[list[Recording]]:
-    """Recordings that belong in one estimate: the same channels, rate, period, bursts and level."""
+    """Recordings that belong in one estimate: the same channels (calibrated anew or not), rate, period and level."""
     out: dict[tuple[Any, ...], list[Recording]] = {}
     for r in recordings:
         level = None if np.isnan(r.level) else r.level
-        out.setdefault((r.channels, r.rate, r.period, r.burst, level), []).append(r)
+        out.setdefault((tuple(c.signal for c in r.channels), r.rate, r.period, r.burst, level), []).append(r)
     return list(out.values())
 
 
@@ -137,7 +139,7 @@ def played_lines(runs: Sequence[Run]) -> tuple[int, ...] | None:
 
 
 def estimate(recordings: Sequence[Recording], settings: FrfSettings, lines: Sequence[int] | None = None) -> Frf:
-    """One FRF from all of `recordings`, which belong together.
+    """One FRF from all of `recordings`, which belong together; of runs of a session, see `estimate_runs`.
 
     `lines` that were played, where the bench knows them; else periodic estimates find them from the inputs.
 
@@ -148,8 +150,33 @@ def estimate(recordings: Sequence[Recording], settings: FrfSettings, lines: Sequ
     EstimationError
         If no estimate exists under these settings: too few segments, unlike recordings, ...
     """
-    if not settings.keep_clipped:
-        recordings = usable(recordings, settings)
+    return _estimated(recordings if settings.keep_clipped else usable(recordings, settings), settings, lines)
+
+
+def estimate_runs(runs: Sequence[Run], recordings: Sequence[Recording], settings: FrfSettings) -> tuple[Frf, Used]:
+    """One FRF from runs that belong together, without what their inputs did, and what of the runs it rests on.
+
+    `recordings` are those of the runs. Raises as `estimate` does.
+    """
+    cleaned = recordings if settings.keep_clipped else usable(recordings, settings)
+    used, lines, inputs = used_of(runs, recordings, cleaned), played_lines(runs), [inputs_of(run) for run in runs]
+    if all(one == inputs[0] for one in inputs):
+        return without_inputs(_estimated(cleaned, settings, lines), runs), used
+    if chosen(cleaned, settings).estimator in ESTIMATORS:
+        frf = _estimated(cleaned, settings, lines, inputs)
+    else:
+        frf = averaged([corrected(_estimated(held, settings, lines), told) for told, held in alike(cleaned, inputs)])
+    said = {str(run.index): run.info.get("inputs", {}) for run in runs}
+    return replace(frf, settings=frf.settings | {"inputs": said}), used
+
+
+def _estimated(
+    recordings: Sequence[Recording],
+    settings: FrfSettings,
+    lines: Sequence[int] | None,
+    inputs: Sequence[Inputs] = (),
+) -> Frf:
+    """FRF from recordings as they are; `inputs` of each are divided out of its spectra where they are given."""
     if settings.segment is not None and settings.segment < 2:
         raise EstimationError(f"segment {settings.segment} must be 2 samples or more")
     done = chosen(recordings, settings)
@@ -172,7 +199,7 @@ def estimate(recordings: Sequence[Recording], settings: FrfSettings, lines: Sequ
     else:
         assert done.segment is not None and done.window is not None and done.overlap is not None  # noqa: PT018
         processor = Welch(done.segment, done.window, done.overlap)
-    return ESTIMATORS[done.estimator](processor)(list(recordings))
+    return ESTIMATORS[done.estimator](Uncoloured(processor, tuple(inputs)) if inputs else processor)(list(recordings))
 
 
 def usable(recordings: Sequence[Recording], settings: FrfSettings) -> list[Recording]:
@@ -249,31 +276,13 @@ def reprocess(
     for i, batch in enumerate(batches):
         used = [n for n, r in recordings.items() if any(r is b for b in batch)]
         mine = [known[n] for n in used]
-        frf = without_inputs(estimate(batch, settings, played_lines(mine)), mine)
+        frf, rests = estimate_runs(mine, batch, settings)
         said = {k: v for k, v in asdict(chosen(batch, settings)).items() if v is not None}
-        told = {"runs": used, "requested": said, "basis": _basis(mine), **_level(batch), **_left_out(batch, settings)}
+        told = {"runs": used, "requested": said, **_level(batch), **rests.settings}
         told |= {"left_out": {str(n): why for n, why in left_out.items()}} if left_out else {}
         out.append((session.add_frf(frf, told, name=_title(used, batch)), frf))
         progress(i + 1, len(batches))
     return out
-
-
-def _basis(runs: Sequence[Run]) -> dict[str, list[int]]:
-    """Number of each run -> its hits that are accepted at this moment: what the FRF rests on."""
-    return {str(run.index): [hit.index for hit in run.hits if hit.accepted] for run in runs if run.hits}
-
-
-def _left_out(batch: Sequence[Recording], settings: FrfSettings) -> dict[str, float]:
-    """Seconds that were not used because of overloads."""
-    if settings.keep_clipped:
-        return {}
-    pairs = zip(batch, usable(batch, settings), strict=True)
-    lost = sum((_used(before) - _used(after)) / before.rate for before, after in pairs)
-    return {"overloaded_seconds": lost} if lost else {}
-
-
-def _used(recording: Recording) -> int:
-    return sum(stop - start for start, stop in recording.spans())
 
 
 def _level(batch: Sequence[Recording]) -> dict[str, float]:

@@ -168,6 +168,44 @@ def test_an_overloaded_hit_is_left_out_whole(session):
         run.add_hit(2000 * k, 2000 * (k + 1))
     ((_, frf),) = reprocess(session, FrfSettings())
     assert frf.n_averages == 2
+    told = session.frfs()[0].settings
+    assert (told["basis"], told["hits_left_out"]) == ({"1": [0, 2]}, {"1": [1]})
+
+
+def test_a_sensor_that_was_recalibrated_between_runs_stays_one_channel(session):
+    for sensitivity in (0.1, 0.2):
+        pair = [Channel(c.name, c.quantity, c.role, sensitivity=sensitivity) for c in PAIR]
+        run = session.start_run(pair, RATE)
+        run.append(Block(noise() * sensitivity, 0, 0.0))
+    ((_, frf),) = reprocess(session, FrfSettings(segment=1024))
+    assert_allclose(frf.value, H1(Welch(1024))(Recording(PAIR, noise(), RATE)).value, rtol=1e-9)
+    assert session.frfs()[0].settings["runs"] == [1, 2]
+
+
+@pytest.mark.parametrize("kind", ["hits", "noise", "periods"])
+def test_inputs_that_were_calibrated_anew_between_runs_are_each_divided_out(session, kind):
+    """The second run's answer came three samples late and is known to: the mean is that of runs that did not."""
+    data = {"hits": hit(), "noise": noise(), "periods": periodic_noise()}[kind]
+    how: dict = {"period": 512, "drop_periods": 1} if kind == "periods" else {}
+    late = np.array([data[0], np.r_[np.zeros(3), data[1, :-3]]])
+    settings = FrfSettings(segment=1024) if kind == "noise" else FrfSettings()
+    add(session, data, **how)
+    ((_, expected),) = reprocess(session, settings)
+    delay = {"a": {"delay": 3 / RATE, "highpass": 0.0}}
+    add(session, late, info={"inputs": delay}, **how)
+    ((_, frf),) = reprocess(session, settings)
+    assert session.frfs()[-1].settings["inputs"] == {"1": {}, "2": delay}
+    lines = expected.frequency < 150  # beyond, the pulse of the hits has its first zero
+    assert_array_equal(frf.frequency, expected.frequency)
+    assert frf.n_averages == pytest.approx(2 * expected.n_averages)
+    assert frf.coherence is not None
+    assert frf.coherence[0, lines].mean() > 0.999
+    atol = 5e-3 * np.abs(expected.value[0, 0, lines]).max()
+    assert_allclose(frf.value[0, 0, lines], expected.value[0, 0, lines], atol=atol)
+    one = {"a": {"delay": 0.0, "highpass": 2.0}}
+    add(session, data, info={"inputs": one}, **how)
+    ((_, third),) = reprocess(session, settings)
+    assert third.frequency[0] > 0
 
 
 def test_clipping_that_nobody_reported_stops_the_estimate(session):

@@ -163,6 +163,8 @@ def _peaks(one: Frf, output: int, inside: Any, most: int = 12) -> list[float]:
 
 
 def _text(said: dict[str, Any]) -> str:
+    from sessions.pooling import left_out_hits
+
     used = said["settings"]
     how = [f"{used[k]} {k}" for k in ("window",) if used.get(k)]
     how += [f"segments of {used['n_segment']}"] if used.get("n_segment") else []
@@ -177,6 +179,8 @@ def _text(said: dict[str, Any]) -> str:
         peaks = ", ".join(f"{f:.6g}" for f in said["peaks"][name])
         lines.append(f"  {name}: {told}" + (f"; peaks {peaks} Hz" if peaks else ""))
     lines += [f"  note: run {n} is left out: it {why}" for n, why in used.get("left_out", {}).items()]
+    if used.get("hits_left_out"):
+        lines.append(f"  note: left out, as an overload touches it: {left_out_hits(used['hits_left_out'])}")
     if used.get("overloaded_seconds"):
         lines.append(f"  note: {used['overloaded_seconds']:.4g} s with overloads are left out")
     lines += [f"  warning: {v['reason']}" for v in said["verdicts"] if not v["ok"]]

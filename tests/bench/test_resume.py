@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from labnnum.errors import ConfigError, DeviceLostError, EstimationError, FileError
+from labnnum.response import frf
 from sessions import bench
 from sessions.bench import measure
+from sessions.calibration import Calibration, InputEntry
 from sessions.display import Quiet
 from sessions.exchange import load_recordings
 from sessions.exporting import chosen_recordings
 from sessions.items import items
+from sessions.model import read_model
 from sessions.reprocess import FrfSettings, reprocess
 from sessions.store import open_session
 
@@ -126,6 +129,52 @@ def test_a_plan_resumed_in_the_middle_of_a_point_gives_the_same_bits(tmp_path):
     np.testing.assert_array_equal(found.value, expected.value)
     np.testing.assert_array_equal(found.coherence, expected.coherence)
     np.testing.assert_array_equal(found.variance, expected.variance)
+
+
+@pytest.mark.parametrize("anew", ["a sensor", "an input"])
+def test_a_point_goes_on_after_something_was_calibrated_anew(tmp_path, anew):
+    rig = hammer_rig(tmp_path, ('points = ["1:x", "2:x"]', 'points = ["1:x"]'), ("hits = 3", "hits = 4"))
+    broken = replace(rig, toml=rig.toml.model_copy(update={"simulated": _vanishing(rig, 3.3)}))
+    with pytest.raises(DeviceLostError):
+        measure(broken, tmp_path / "out.h5")
+    if anew == "a sensor":
+        answer = rig.stored[1]
+        channel = replace(answer.channel, sensitivity=answer.channel.sensitivity * 1.01)
+        later = replace(rig, stored=(rig.stored[0], replace(answer, channel=channel, scale=answer.scale / 1.01)))
+    else:
+        entry = InputEntry(channel="a2", date="", method="", reference="hammer", delay=1e-6)
+        later = replace(rig, calibration=Calibration(input=(entry,)))
+    outcome = measure(later, tmp_path / "out.h5")
+    assert outcome.messages == ()
+    found = outcome.frfs["hammer 1:x"]
+    with open_session(tmp_path / "out.h5") as session:
+        first, second = session.runs
+        assert first.channels != second.channels or first.info.get("inputs") != second.info.get("inputs")
+        assert min(sum(h.accepted for h in run.hits) for run in session.runs) > 0
+    assert found.n_averages == 4
+    assert set(found.settings["basis"]) == {"1", "2"}
+    model = read_model(rig.beside("model.toml")).structure
+    lines = (found.frequency > 20) & (found.frequency < 300)
+    exact = frf(model, model.nominal, found.frequency[lines], found.outputs, found.inputs)
+    assert np.linalg.norm(found.value[..., lines] - exact) < 0.02 * np.linalg.norm(exact)
+
+
+def test_accepted_hits_that_touch_an_overload_are_told(tmp_path):
+    rig = hammer_rig(tmp_path, ('points = ["1:x", "2:x"]', 'points = ["1:x"]'), ("hits = 3", "hits = 4"))
+    measure(rig, tmp_path / "whole.h5")
+    with open_session(tmp_path / "whole.h5") as session:
+        (run,) = session.runs
+        middle = (run.hits[1].start + run.hits[1].stop) // 2
+        blocks = [
+            replace(b, overload=np.array([False, b.start <= middle < b.start + b.n_frames])) for b in run.replay()
+        ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "devices", replay_of(rig, [blocks]))
+        outcome = measure(rig, tmp_path / "out.h5")
+    found = outcome.frfs["hammer 1:x"]
+    assert found.n_averages == 3
+    assert found.settings["basis"] == {"1": [0, 2, 3]}
+    assert "hammer 1:x: 3 of 4 accepted hits are used: an overload touches hit 1 of run 1" in outcome.messages
 
 
 def test_a_second_session_needs_the_same_rig(tmp_path):

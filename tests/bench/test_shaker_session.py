@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from labnnum.response import frf
+from labnnum.sine import tone_frf
 from sessions.bench import measure
 from sessions.display import Display, Quiet
 from sessions.items import waveform
@@ -88,6 +89,32 @@ def test_stepped_sine_up_and_down(tmp_path):
         hits = session.runs[0].hits
     assert [h.info["direction"] for h in hits] == ["up"] * 12 + ["down"] * 12
     assert max(abs(h.info["off"]) for h in hits) <= 0.05
+
+
+def test_realisations_of_stepped_sines_are_averaged(tmp_path):
+    changes = [
+        ('kind = "multisine"', 'kind = "stepped sine"\nlines = 12\nrealisations = 3\ndirections = ["up", "down"]'),
+        ("levels = [0.5, 2.0]", "levels = [1.0]"),
+    ]
+    rig = shaker_rig(tmp_path, *changes)
+    found = measure(rig, tmp_path / "out.h5").frfs
+    assert list(found) == ["stepped-sine 1 up", "stepped-sine 1 down"]
+    up = found["stepped-sine 1 up"]
+    assert up.settings["basis"] == {str(run): list(range(12)) for run in (1, 2, 3)}
+    assert found["stepped-sine 1 down"].settings["basis"] == {str(run): list(range(12, 24)) for run in (1, 2, 3)}
+    assert 0.5 < agreement(rig, up) < 1.6
+    each = []
+    with open_session(tmp_path / "out.h5") as session:
+        for run in session.runs:
+            hits = run.hits[:12]
+            each.append(
+                tone_frf(run.recording(), [(h.start, h.stop) for h in hits], [h.info["frequency"] for h in hits])
+            )
+    assert up.variance is not None
+    weight = 1 / np.array([one.variance for one in each], float)
+    expected = np.sum(weight * np.array([one.value for one in each]), axis=0) / weight.sum(axis=0)
+    np.testing.assert_allclose(up.value, expected, rtol=1e-9)
+    np.testing.assert_allclose(up.variance, 1 / weight.sum(axis=0), rtol=1e-9)
 
 
 def test_tones_are_measured_again_where_frames_were_lost(tmp_path):
