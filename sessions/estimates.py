@@ -51,6 +51,11 @@ class StoredEstimate:
     code_version: str = ""
     created: float = 0.0
 
+    @property
+    def floor(self) -> float:
+        """Share of |H| that the model was granted as its own error, beside the random error; chi2 counts it."""
+        return float(self.settings.get("floor") or 0.0)
+
 
 def store_estimate(session: Session, stored: StoredEstimate, name: str = "estimate") -> str:
     """Path of the estimate in the session, beside those that were there already."""

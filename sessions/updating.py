@@ -25,6 +25,8 @@ from sessions.store import open_session
 from sessions.updaters import load_updater
 
 METHODS = ("refined", "network", "least-squares", *PEERS)
+FLOORED = ("refined", "least-squares")
+"""Methods that grant the model an error of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ class Update:
     frf_name : str
         Path of the FRF in its session, or of the file.
     settings : mapping
-        Method, updater and model, for the session.
+        Method, updater and model, for the session; "floor", the share of |H| that the model was granted as its error.
     """
 
     estimate: Estimate
@@ -105,6 +107,7 @@ def run_update(
     read = None if model is None else read_model(model)
     told: dict[str, Any] = {"method": method, "updater": "" if updater is None else updater.name}
     told |= {"model": "" if model is None else model.name, "prior": prior}
+    told["floor"] = floor or 0.0 if method in FLOORED else 0.0
     if updater is None:
         assert read is not None
         if method == "network":

@@ -10,6 +10,8 @@ from labnnum.response import frf
 from sessions import cli
 from sessions.estimates import latest_estimate
 from sessions.model import read_model
+from sessions.report.content import gather
+from sessions.report.page import verdict
 from sessions.store import create_session, open_session
 
 from .test_updaters import IN, LINES, MODEL, OUT
@@ -67,6 +69,19 @@ def test_train_on_a_measurement_then_update_it(type_in, bench, tmp_path):
     assert stored.estimate["k"] == found["parameters"]["k"]["value"]
     assert stored.frf == "results/frf/0001"
     assert np.abs(stored.after - frf(bench, TRUTH, stored.frequency, OUT, IN)).max() < 0.1 * np.abs(stored.after).max()
+
+
+@pytest.mark.parametrize(("method", "floor"), [("least-squares", 0.05), ("refined", 0.05), ("output-error", 0.0)])
+def test_an_error_granted_to_the_model_is_kept_and_told(type_in, bench, tmp_path, method, floor):
+    """The random error is 1 %: with 5 % granted, chi2 falls far below 1, and the page says to what that is due."""
+    shown = type_in(f"update run.h5 --model model.toml --method {method} --floor 0.05")
+    with open_session(tmp_path / "run.h5") as session:
+        stored = latest_estimate(session)
+    assert stored.floor == floor
+    assert ("with a model error of 5 %" in " ".join(shown.out.split())) == bool(floor)
+    assert (stored.estimate.chi2 < 0.1) == bool(floor)
+    said = verdict(gather(tmp_path / "run.h5"))[0]
+    assert ("a model error of 5 %" in said) == bool(floor)
 
 
 @pytest.mark.parametrize("method", ["least-squares", "output-error", "filter", "penalty"])

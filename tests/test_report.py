@@ -30,7 +30,9 @@ def oscillator(frequency: float, ratio: float) -> np.ndarray:
     return ((1 + 2 * ratio * s) / (1 + 2 * ratio * s + s**2))[None, None]
 
 
-def make_session(path: Path, chi2: float = 1.02, warnings: tuple[str, ...] = (), converged: bool = True) -> Path:
+def make_session(
+    path: Path, chi2: float = 1.02, warnings: tuple[str, ...] = (), converged: bool = True, floor: float | None = None
+) -> Path:
     rng = np.random.default_rng(0)
     truth = oscillator(60.0, 0.02)
     variance = np.abs(truth) ** 2 * 1e-3
@@ -50,7 +52,8 @@ def make_session(path: Path, chi2: float = 1.02, warnings: tuple[str, ...] = (),
         run.finish()
         where = session.add_frf(frf)
         before = oscillator(70.0, 0.02)
-        stored = StoredEstimate(estimate, where, LINES, before, truth, ((50.0, 70.0),), {"m_acc": 10.1e-3}, {"seed": 3})
+        made = {"seed": 3} if floor is None else {"seed": 3, "floor": floor}
+        stored = StoredEstimate(estimate, where, LINES, before, truth, ((50.0, 70.0),), {"m_acc": 10.1e-3}, made)
         store_estimate(session, stored)
     return path
 
@@ -101,8 +104,11 @@ def test_a_further_section_is_one_function(tmp_path):
 @pytest.mark.parametrize(
     ("how", "kind", "words"),
     [
-        ({}, "good", "within its random error"),
-        ({"chi2": 7.0}, "doubt", "7 times chance"),
+        ({}, "good", "within its random error."),
+        ({"floor": 0.0}, "good", "within its random error."),
+        ({"floor": 0.05}, "good", "within its random error and a model error of 5 %."),
+        ({"chi2": 7.0}, "doubt", "7 times chance."),
+        ({"chi2": 7.0, "floor": 0.05}, "doubt", "7 times what chance and a model error of 5 % would leave"),
         ({"warnings": ("outside the training range",)}, "doubt", "1 warning to read"),
         ({"converged": False}, "doubt", "did not converge"),
         ({"chi2": float("nan")}, "none", "could not be judged"),

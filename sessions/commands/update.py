@@ -94,7 +94,8 @@ def _show(done: Update, as_json: bool, advice: list[dict] | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{done.frf_name}: {estimate.method}, chi2 {estimate.chi2:.3g}")
+    granted = f" with a model error of {100 * done.settings['floor']:.3g} %" if done.settings["floor"] else ""
+    table = Table(title=f"{done.frf_name}: {estimate.method}, chi2 {estimate.chi2:.3g}{granted}")
     for heading in ("parameter", "value", "std", "unit", "nominal"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
     for p, v, s in zip(estimate.parameters, estimate.value, estimate.std, strict=True):

@@ -16,7 +16,7 @@ from labnnum.errors import FileError
 from labnnum.frf import Frf
 from sessions.report.content import Content, gather
 from sessions.report.figures import excited
-from sessions.report.numbers import date, quantity
+from sessions.report.numbers import date, percent, quantity
 from sessions.report.sections import SECTIONS, Section, SectionMaker
 
 MARK = "labnnum report</title>"
@@ -89,15 +89,17 @@ def verdict(content: Content) -> tuple[str, str]:
     what = f"{len(e.parameters)} parameter{'s' if len(e.parameters) > 1 else ''} updated"
     if not e.converged:
         return f"{what}, but the refinement did not converge.", "doubt"
+    granted = f" and a model error of {percent(stored.floor)}" if stored.floor else ""
     if np.isfinite(e.chi2) and e.chi2 > 2:
+        chance = "chance" if not granted else f"what chance{granted} would leave"
         return (
-            f"{what}, but the model does not explain the measurement: the misfit is {e.chi2:.3g} times chance.",
+            f"{what}, but the model does not explain the measurement: the misfit is {e.chi2:.3g} times {chance}.",
             "doubt",
         )
     if e.warnings:
         return f"{what}; {len(e.warnings)} warning{'s' if len(e.warnings) > 1 else ''} to read first.", "doubt"
     if np.isfinite(e.chi2):
-        return f"{what}; the model explains the measurement within its random error.", "good"
+        return f"{what}; the model explains the measurement within its random error{granted}.", "good"
     return f"{what}; the misfit could not be judged.", "none"
 
 
@@ -114,7 +116,8 @@ def key_facts(content: Content) -> list[tuple[str, str]]:
             facts.append((f"{frf.n_averages:.3g}", "effective averages"))
         facts += _coherence(frf, content)
     if content.estimate is not None and np.isfinite(content.estimate.estimate.chi2):
-        facts.append((f"{content.estimate.estimate.chi2:.3g}", "misfit (1 is chance)"))
+        one = "chance and the model error granted" if content.estimate.floor else "chance"
+        facts.append((f"{content.estimate.estimate.chi2:.3g}", f"misfit (1 is {one})"))
     return facts
 
 

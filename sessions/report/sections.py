@@ -170,7 +170,9 @@ def trust_section(content: Content) -> Section | None:
     body += notes(doubts) if doubts else notes(["No overloads, no gaps, no warnings."], "fine")
     if stored is not None:
         e = stored.estimate
-        body += table(["method", "misfit (chi², 1 if the model explains all)"], [[e.method, f"{e.chi2:.3g}"]], (1,))
+        granted = f", up to an error of {percent(stored.floor)}" if stored.floor else ""
+        head = ["method", f"misfit (chi², 1 if the model explains all{granted})"]
+        body += table(head, [[e.method, f"{e.chi2:.3g}"]], (1,))
         if len(e.parameters) > 1:
             drawing = figures.correlation_figure([p.name for p in e.parameters], e.correlation)
             body += Markup('<div class="narrow">') + figure(drawing, "Correlation of the estimates.") + Markup("</div>")
