@@ -246,8 +246,7 @@ def _without(o: Observation, name: str) -> Observation | None:
 
 
 def _less_channel(recording: Recording, name: str) -> Recording:
-    rows = [i for i, c in enumerate(recording.channels) if c.name != name]
-    return replace(recording, channels=tuple(recording.channels[i] for i in rows), data=recording.data[rows])
+    return recording.select([c.name for c in recording.channels if c.name != name])
 
 
 def drifted(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine
-from labnnum.diagnosis.nonlinear.locate import Spot
+from labnnum.diagnosis.nonlinear.locate import ROUNDING, Spot
 from labnnum.mechanisms.base import Place
 
 SAME = 0.005
@@ -39,9 +39,14 @@ def distinct(engine: Engine, every: Sequence[Spot]) -> tuple[list[Spot], Equals]
     over = _lines(state.omega, engine.zeta0, engine.band)[:, :, None] * np.hstack([state.out, state.load])
     n_out = state.out.shape[1]
     equal: dict[tuple[Place, str], list[Place]] = {}
-    for s in every:
-        shape = state.shape.T @ s.column
-        motion, response = weight * shape, np.einsum("m,fmc->fc", shape, over)
+    shapes = [state.shape.T @ s.column for s in every]
+    responses = [np.einsum("m,fmc->fc", shape, over) for shape in shapes]
+    heard = [float(np.linalg.norm(r[:, :n_out])) / max(float(np.linalg.norm(s.column)), 1e-300)
+             for r, s in zip(responses, every, strict=True)]  # fmt: skip
+    for s, shape, response, much in zip(every, shapes, responses, heard, strict=True):
+        if much <= ROUNDING * max(heard):
+            continue
+        motion = weight * shape
         size = float(np.linalg.norm(motion))
         near = [min(np.linalg.norm(motion - m), np.linalg.norm(motion + m)) / max(size, 1e-300) for m in motions]
         like = [i for i, apart in enumerate(near) if apart < SAME and _apart(response, seen[i], n_out) < SEEN]

@@ -382,8 +382,14 @@ def parts_of(
         train = sorted((_within(o, span) for o in parts.train), key=lambda o: o.level)
         test = sorted((_within(o, span) for o in parts.test), key=lambda o: o.level)
         runs, whole = [o.run for o in train if o.run is not None], parts.whole
-    elif not signs(runs).present:
+    else:
+        if not signs(runs).present:
+            return None
+        train, test = ([_within(o, span) for o in some] for some in (train, test))
+    train, test = ([o for o in some if o.run is not None and o.run.compared.any()] for some in (train, test))
+    if not train:
         return None
+    runs = [o.run for o in train if o.run is not None]
     return Split(tuple(_levels(train, runs)[0]), tuple(test), whole)
 
 

@@ -238,7 +238,8 @@ def strays(found: NonlinearAnswer) -> bool:
     """Whether laws that leave next to nothing of the runs of the fit, and along the measured motion of those held out,
     simulate these in another steady state than the structure's.
     """
-    return _astray(found.misfit, found.shown, found.extended_error[1], found.noise)
+    noise = found.noise if np.isfinite(found.noise) else 0.0
+    return _astray(found.misfit, found.shown, found.extended_error[1], noise)
 
 
 def _astray(misfit: float, shown: float, simulated: float, noise: float) -> bool:

@@ -147,13 +147,15 @@ def _change(runs: Sequence[Run]) -> tuple[NDArray[np.float64], NDArray[np.bool_]
     """Change of the FRFs from the lowest to the highest level, and whether noise cannot explain it."""
     low, high = min(runs, key=lambda r: r.level), max(runs, key=lambda r: r.level)
     none = np.full(runs[0].y.shape[0], np.nan), np.zeros(runs[0].y.shape[0], bool)
-    if high.level < 1.3 * low.level or high.period != low.period:
+    if high.level < 1.3 * low.level or not np.isclose(high.rate / high.period, low.rate / low.period, rtol=1e-9):
         return none
-    on = low.excited & high.excited
+    n = min(low.u.size, high.u.size)  # as far as the one that was driven less far goes
+    on = low.excited[:n] & high.excited[:n]
     if np.count_nonzero(on) < 8 or not (np.isfinite(low.noise).all() and np.isfinite(high.noise).all()):
         return none
-    a, b = low.y[:, on] / low.u[on], high.y[:, on] / high.u[on]
-    noise = low.noise[:, on] / np.abs(low.u[on]) ** 2 + high.noise[:, on] / np.abs(high.u[on]) ** 2
+    at = np.flatnonzero(on)
+    a, b = low.y[:, at] / low.u[at], high.y[:, at] / high.u[at]
+    noise = low.noise[:, at] / np.abs(low.u[at]) ** 2 + high.noise[:, at] / np.abs(high.u[at]) ** 2
     power, expected = np.sum(np.abs(a - b) ** 2, axis=1), np.sum(noise, axis=1)
     size = np.sqrt(np.maximum(power - expected, 0) / np.sum(np.abs(a) ** 2, axis=1))
     return size, (size > CHANGE) & (power > 3.0 * expected)

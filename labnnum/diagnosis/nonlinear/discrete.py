@@ -134,9 +134,11 @@ a law stiffer than the structure, whose correction would grow from one march to 
 
 def describing(motion: NDArray, time: NDArray) -> tuple[NDArray, NDArray]:
     """Spring and dashpot (k,) each that best stand for the forces `time` (n, k) along the `motion` (n, k, 2)."""
-    z, v = np.moveaxis(motion - motion.mean(axis=0), 2, 0)
-    stiff = -np.sum(z * time, axis=0) / np.maximum(np.sum(z * z, axis=0), 1e-300)
-    loss = -np.sum(v * time, axis=0) / np.maximum(np.sum(v * v, axis=0), 1e-300)
+    rows = np.ascontiguousarray(np.moveaxis(motion, 0, 2))  # (k, 2, n): sums along rows are quick
+    rows = rows - rows.mean(axis=2, keepdims=True)
+    done = np.einsum("kcn,kn->kc", rows, np.ascontiguousarray(time.T))
+    size = np.einsum("kcn,kcn->kc", rows, rows)
+    stiff, loss = (-done / np.maximum(size, 1e-300)).T
     return stiff, loss
 
 

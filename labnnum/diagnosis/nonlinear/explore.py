@@ -55,6 +55,8 @@ class Prospect:
     """Two laws that come far nearer than the best alone, simulated, best first."""
     sought: bool = False
     """Whether strong laws are not to be sought from far away any more."""
+    seen: tuple[NDArray, list[Recovered], list[Lead]] | None = None
+    """A base vector, the forces that it recovers from these runs on these lines, and what named laws promise there."""
 
     @property
     def level(self) -> float:
@@ -126,6 +128,7 @@ def explore(
     pairs: tuple[Tried, ...] = ()
     for x in rounds:
         found, leads = looked(plain, x, spots, unnamed)
+        seen = x, found, [lead for lead in leads if lead.mechanism != "general"]
         near: list[Tried] = []
         shown = misled and carry_on and x is nominal and _shown(bench, base, rounds, leads)
         if misled and carry_on and x is nominal and not shown:
@@ -149,7 +152,7 @@ def explore(
             near = sorted([*near, *followed(bench, begin, leads, carry_on)], key=lambda t: t.cost)
         if near and (best is None or near[0].cost < best.near[0].cost):
             sought = misled and not shown
-            best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads), pairs, sought)
+            best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads), pairs, sought, seen)
         if dry or shown or (near and near[0].made.data_part < MISLED * near[0].made.count):
             break
     if best is not None and carry_on and not misled and best.level > MISLED:
@@ -174,11 +177,12 @@ def resumed(
     calm = calmed(engine, point, runs[quiet], scatter)
     plain = bench.joint([])
     base = fit(plain, plain.start(calm.x), [None] * len(runs), steps=12)
-    found, _ = looked(plain, calm.x, spots)
     made = [relaxed(bench, begin, leads) for leads in given]
     near = sorted((t for t in made if t is not None), key=lambda t: t.cost)
+    if not near:
+        return None
     misled = calm.data_part > MISLED * calm.count
-    return Prospect(bench, calm, base, tuple(found), tuple(near[:1]), sought=misled) if near else None
+    return Prospect(bench, calm, base, tuple(recovered(plain, calm.x, spots)[1]), tuple(near[:1]), sought=misled)
 
 
 def _shown(bench: Bench, base: Made, starts: Sequence[NDArray], leads: Sequence[Lead]) -> bool:
@@ -215,12 +219,17 @@ def looked(
     plain: Joint, x: NDArray, spots: Sequence[Spot], unnamed: bool = False
 ) -> tuple[list[Recovered], list[Lead]]:  # fmt: skip
     """Spots ranked by the forces recovered with the base at `x`, and what every law promises at the nearest."""
-    background = Background(plain, x[: plain.n_base])
-    found = ranked(background, [recover(plain, x, plain.point, s) for s in spots])
+    background, found = recovered(plain, x, spots)
     leads = [lead for q in nearest(found) for lead in law_leads(background, q, LAWS)]
     if unnamed:
         leads += [lead for q in nearest(found) for lead in q.unnamed]
     return found, leads
+
+
+def recovered(plain: Joint, x: NDArray, spots: Sequence[Spot]) -> tuple[Background, list[Recovered]]:
+    """What the base at `x` leaves, and the spots ranked by the forces that it recovers there."""
+    background = Background(plain, x[: plain.n_base])
+    return background, ranked(background, [recover(plain, x, plain.point, s) for s in spots])
 
 
 def nearest(found: Sequence[Recovered]) -> list[Recovered]:

@@ -30,6 +30,7 @@ from labnnum.diagnosis.nonlinear.effort import counted
 from labnnum.diagnosis.nonlinear.explore import STRAINED
 from labnnum.diagnosis.nonlinear.identified import LEAST, NEARLY, missing, own_scatter
 from labnnum.diagnosis.nonlinear.locate import Lead
+from labnnum.diagnosis.nonlinear.matched import matched
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
 from labnnum.diagnosis.nonlinear.overloaded import overloaded
@@ -69,6 +70,7 @@ def nonlinear_first(
     from labnnum.diagnosis.runs import kept_from_law
 
     usable, held_out = ([mended(o, held) for o in some] for some in (steadier(gate.usable), held_out))
+    held_out = [same for o in held_out if (same := matched(o, usable[0])) is not None]
     kept = set() if held_out else kept_from_law(usable)
     train = [o for i, o in enumerate(usable) if i not in kept]
     test = list(held_out) or [usable[i] for i in sorted(kept)]

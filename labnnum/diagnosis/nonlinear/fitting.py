@@ -79,13 +79,13 @@ def fit(
             jac, orbits = joint.slopes(x, orbits)
         except EstimationError:
             break
-        value, gradient, hessian, b = _model(joint, x, orbits, jac)
+        value, gradient, hessian, held = _model(joint, x, orbits, jac)
         if best is None or value < best[0]:
             best = (value, x, orbits, hessian, jac)
         moved = False
         for _ in range(5):
             trial = _step(joint, x, gradient, hessian, damping, reach)
-            after, found = _tried(joint, trial, orbits, b)
+            after, found = _tried(joint, trial, orbits, held)
             if np.isfinite(after) and after < value:
                 moved = True
                 break
@@ -182,8 +182,10 @@ def _evened(
 
 def _model(
     joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], jac: NDArray
-) -> tuple[float, NDArray, NDArray, NDArray]:  # fmt: skip
-    """Objective at `x`, its gradient and Gauss-Newton Hessian (halved, in units of `scale`), what is marginalised."""
+) -> tuple[float, NDArray, NDArray, tuple[NDArray, NDArray]]:  # fmt: skip
+    """Objective at `x`, its gradient and Gauss-Newton Hessian (halved, in units of `scale`), what is marginalised with
+    its gram matrix.
+    """
     scale = joint.scale
     prior = (scale / joint.std) ** 2
     r, b = joint.parts(x, orbits)
@@ -194,7 +196,7 @@ def _model(
     gradient = np.matmul(jac, r[..., None]).sum(axis=0)[:, 0]
     gradient -= np.matmul(bj.transpose(0, 2, 1), inner[..., None]).sum(axis=0)[:, 0]
     gradient -= prior * (x - joint.mean) / scale * np.isfinite(joint.std)
-    return part + joint.price(x), gradient, hessian + np.diag(prior), b
+    return part + joint.price(x), gradient, hessian + np.diag(prior), (b, gram)
 
 
 def promised(joint: Joint, made: Made) -> tuple[float, float, NDArray[np.float64]]:
@@ -215,7 +217,7 @@ def promised(joint: Joint, made: Made) -> tuple[float, float, NDArray[np.float64
 
 
 def _tried(
-    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], b: NDArray
+    joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], held: tuple[NDArray, NDArray]
 ) -> tuple[float, Sequence[Orbit | None]]:
     """Objective at `x` and the steady states there; infinite where there are none, or where the structure is none: a
     step that went too far.
@@ -223,7 +225,7 @@ def _tried(
     try:
         found = joint.settle(x, orbits, 8)
         settled = all(o is None or np.isfinite(o.closing) for o in found)
-        return (joint.value(x, found, b) if settled else np.inf), found
+        return (joint.value(x, found, *held) if settled else np.inf), found
     except ModelError:
         return np.inf, orbits
 

@@ -38,6 +38,8 @@ def records(observations: Sequence[Observation], span: tuple[float, float], miss
             continue
         run = stretch_of(o.recordings[0], 0, o.recordings[0].n_samples)
         on = run.excited & (run.frequency <= ROOM * span[1])
+        if not (on & (run.frequency >= span[0])).any():
+            continue
         run = resampled(replace(run, excited=on, miss=miss))
         inside = (run.frequency >= span[0]) & (run.frequency <= span[1])
         out.append(replace(run, use=inside))

@@ -356,7 +356,9 @@ def through(joint: Joint, found: Recovered, spectra: Sequence[NDArray]) -> NDArr
 
 
 def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
-    """Every translation of every free node against the ground, every motion of one node against its neighbour."""
+    """Every translation of every free node against the ground, every motion of one node against its neighbour, of those
+    that modes move by more than rounding.
+    """
     from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS
     from labnnum.mechanisms.nonlinear_law import between
 
@@ -364,7 +366,7 @@ def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
     for node in site.free_nodes:
         for axis in TRANSLATIONS:
             column = site.rows(node, (axis,))
-            if column.size and np.abs(column.T @ site.shape).max() > 0:
+            if column.size:
                 out.append(Spot(Place("ground", node), axis, column[:, 0]))
     for a, b in site.elements:
         if a in site.supports and not site.rows(a, TRANSLATIONS).size:
@@ -373,6 +375,11 @@ def spots(engine: Engine, site, rows_only: bool = False) -> list[Spot]:
             continue
         for axis in (*TRANSLATIONS, *ROTATIONS):
             column = between(site, a, b, axis)
-            if column is not None and np.abs(column[:, 0] @ site.shape).max() > 0:
+            if column is not None:
                 out.append(Spot(Place("joint", a, b), axis, column[:, 0]))
-    return out
+    moved = [np.abs(s.column @ site.shape).max() / max(float(np.linalg.norm(s.column)), 1e-300) for s in out]
+    return [s for s, much in zip(out, moved, strict=True) if much > ROUNDING * max(moved)]
+
+
+ROUNDING = 1e-9
+"""Part of the largest motion, or of what sensors see of a force, that rounding makes."""

@@ -130,17 +130,22 @@ def _rail(
     An amplifier cuts the signal itself, a converter its samples, `sampled` of them in the period of each run.
     """
     sigma = [_everywhere(r, i, a) for r, a in zip(runs, lines, strict=True)]
-    left = [float(np.mean(np.abs((r.y[i] - m) / s) ** 2)) for r, m, s in zip(runs, made, sigma, strict=True)]
+    first = [int(a.at[0]) for a in lines]  # below the band stand offsets, which are no matter of a rail
+    pieces = zip(runs, made, sigma, first, strict=True)
+    left = [float(np.mean(np.abs((r.y[i, k:] - m[k:]) / s[k:]) ** 2)) for r, m, s, k in pieces]
     if max(left) < LEFT:
         return None
-    both = (_cut(runs, made, i, sigma, n) for n in ([r.period * FINE for r in runs], sampled))
+    both = (_cut(runs, made, i, sigma, first, n) for n in ([r.period * FINE for r in runs], sampled))
     return min((one for one in both if one is not None), key=lambda one: one.left, default=None)
 
 
 def _cut(
-    runs: Sequence[Run], made: Sequence[NDArray], i: int, sigma: Sequence[NDArray], n: Sequence[int]
+    runs: Sequence[Run], made: Sequence[NDArray], i: int, sigma: Sequence[NDArray], first: Sequence[int],
+    n: Sequence[int],
 ) -> _Rail | None:  # fmt: skip
-    """The rail that cuts readings, taken at `n` samples in each run's period, so that least is left of response i."""
+    """The rail that cuts readings, taken at `n` samples in each run's period, so that least is left of response i
+    from the `first` lines on.
+    """
     time = [_time(m, k) for m, k in zip(made, n, strict=True)]
     tops = [float(np.max(np.abs(t))) for t in time]
 
@@ -151,8 +156,8 @@ def _cut(
         ]  # fmt: skip
 
     def remains(rail: float) -> NDArray[np.float64]:
-        pieces = zip(runs, made, sigma, cut(rail), strict=True)
-        return np.array([np.sum(np.abs((r.y[i] - m + c) / s) ** 2) for r, m, s, c in pieces])
+        pieces = zip(runs, made, sigma, first, cut(rail), strict=True)
+        return np.array([np.sum(np.abs((r.y[i] - m + c)[k:] / s[k:]) ** 2) for r, m, s, k, c in pieces])
 
     grid = max(tops) * np.linspace(LOWEST, 1.0, LOOKED_AT + 1)
     best = int(np.argmin([remains(g).sum() for g in grid]))
@@ -166,7 +171,7 @@ def _cut(
     touched = np.array(tops) > rail
     before, after = remains(max(tops))[touched].sum(), remains(rail)[touched].sum()
     bend = float((remains(rail + step) + remains(rail - step) - 2 * remains(rail)).sum()) / step**2
-    size = sum(m.size for m, there in zip(made, touched, strict=True) if there)
+    size = sum(m.size - k for m, k, there in zip(made, first, touched, strict=True) if there)
     std = float(np.hypot(np.sqrt(max(after / max(size, 1), 1.0) / bend), OWN * rail)) if bend > 0 else step
     return _Rail(rail, std, float(after / before) if before > 0 else 1.0, cut(rail))
 

@@ -6,11 +6,12 @@ import numpy as np
 from numba import njit
 
 from labnnum.diagnosis.nonlinear.force import count_of, law, odds_of
+from labnnum.diagnosis.nonlinear.yielding import yielded
 
 
 @njit(cache=True, nogil=True)
 def _loop(z, p, turns):  # pragma: no cover - compiled
-    """Opposing force of hysteresis along a prescribed motion (n,), by the explicit midpoint rule."""
+    """Opposing force of hysteresis along a prescribed motion (n,), by the rule of the march: it keeps to its limit."""
     n = z.size
     out = np.empty(n)
     limit, power, share = p[1], p[2], p[3]
@@ -18,15 +19,10 @@ def _loop(z, p, turns):  # pragma: no cover - compiled
     if limit <= 0.0:
         out[:] = 0.0
         return out
+    of = np.empty(6)
     for _ in range(turns):
         for i in range(n):
-            step = z[i] - last
-            half = h
-            for _ in range(2):
-                a = share * (1.0 if step * half > 0 else -1.0) + 1.0 - share
-                half = h + 0.5 * step * (1.0 - a * (abs(half) / limit) ** power)
-            a = share * (1.0 if step * half > 0 else -1.0) + 1.0 - share
-            h += step * (1.0 - a * (abs(half) / limit) ** power)
+            h = yielded(z[i] - last, 0.0, h, limit, power, share, of)
             last = z[i]
             out[i] = p[0] * h
     return out

@@ -380,10 +380,19 @@ class Joint:
         left, shared, own = zip(*each(part, list(zip(self.runs, self.lines, orbits, strict=True))), strict=True)
         return np.concatenate(left, axis=-1), _beside(shared, own)
 
-    def value(self, x: NDArray, orbits: Sequence[Orbit | None], columns: NDArray) -> float:
-        """Objective, what is marginalised held."""
-        r, _ = self.parts(x, orbits)
-        return reduced(r, columns)[0] + self.price(x)
+    def left(self, x: NDArray, orbits: Sequence[Orbit | None]) -> NDArray[np.float64]:
+        """Whitened residual (n_out, N) alone."""
+        made = self.receptances(x)
+
+        def part(of: tuple[Run, Lines, Orbit | None]) -> NDArray:
+            run, lines, orbit = of
+            return self._real(lines.seen(run.y[:, lines.need] - self._response(made[run.key], run, orbit, lines.need)))
+
+        return np.concatenate(each(part, list(zip(self.runs, self.lines, orbits, strict=True))), axis=-1)
+
+    def value(self, x: NDArray, orbits: Sequence[Orbit | None], columns: NDArray, gram: NDArray | None = None) -> float:
+        """Objective, what is marginalised held: its columns, and their gram matrix where it is known."""
+        return reduced(self.left(x, orbits), columns, gram)[0] + self.price(x)
 
     def price(self, x: NDArray) -> float:
         """Of the parameters' distance from their priors."""
@@ -489,9 +498,9 @@ def _beside(shared: Sequence[NDArray], own: Sequence[NDArray]) -> NDArray[np.flo
     return np.concatenate([out, *more], axis=1) if more else out
 
 
-def reduced(r: NDArray, b: NDArray) -> tuple[float, NDArray, NDArray]:
+def reduced(r: NDArray, b: NDArray, gram: NDArray | None = None) -> tuple[float, NDArray, NDArray]:
     """What is left of residuals r (n_out, N) beside marginalised columns b; their gram matrix and sizes."""
-    gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1])
+    gram = np.matmul(b, b.transpose(0, 2, 1)) + np.eye(b.shape[1]) if gram is None else gram
     br = np.matmul(b, r[..., None])[..., 0]
     inner = np.linalg.solve(gram, br[..., None])[..., 0]
     return float(np.sum(r * r) - np.sum(br * inner)), gram, inner

@@ -50,7 +50,7 @@ def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter
     for i, (run, z, v, f) in enumerate(zip(found.runs, seen.z, seen.v, seen.f, strict=True)):
         rest = 0.0 if run.decay or last is None or not same else _rest(last, same[0], i)
         z = z + np.where(z == 0.0, 0.0, sign * rest)
-        law = force_along(term.shape, sign * z, sign * v, p) * sign
+        law = force_along(term.shape, sign * z, sign * v, p, run.lasting) * sign
         if not run.decay:
             f = f - np.where(f == 0.0, 0.0, np.mean(law[f != 0.0]) if np.any(f) else 0.0)
         heard = z.size if not run.decay else int(z.size * min(1.0, -np.log(HEARD) * run.rate / run.decay / run.period))

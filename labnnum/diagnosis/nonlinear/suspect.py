@@ -90,14 +90,14 @@ def back(whole: Prospect, found: Prospect, most: int = 3) -> Prospect | None:
     level = (alone[0].made.data_part / alone[0].made.count if alone else found.level) * n_out / (n_out - 1)
     if not near or near[0].made.data_part > max(POOR, AS_WELL * level) * near[0].made.count:
         return None
-    return replace(whole, near=tuple(near), recovered=found.recovered)
+    return replace(whole, near=tuple(near), recovered=found.recovered, seen=None)
 
 
 def finer(found: Prospect, most: int = 6) -> Prospect:
     """The same on as many lines as others have."""
     bench = found.bench.on(LINES)
     near = _again(bench, found, most)
-    return replace(found, bench=bench, near=tuple(near)) if near else found
+    return replace(found, bench=bench, near=tuple(near), seen=None) if near else found
 
 
 def _again(bench: Bench, found: Prospect, most: int) -> list[Tried]:
