@@ -89,7 +89,8 @@ class Desk:
         self.status = Status()
         self.commands: list[str] = []
         self.halted = False
-        """The person asked for the end: nothing is switched on any more."""
+        """The person asked for the end, or nothing is recorded any more: nothing is switched on."""
+        recorder.silence = self.halt
         self.position = 0
         self.tail = Tail(len(item.stored), max(keep, POINTS))
         self._progress = [replace(p, current=p.key == item.key) for p in progress]
@@ -111,6 +112,7 @@ class Desk:
         """Take the person's commands; "stop" ends the run, output first."""
         new = self.display.commands()
         if "stop" in new:
+            self.commands += new[: new.index("stop")]
             self.halt()
             raise UserStopError("stopped by the user")
         self.commands += new

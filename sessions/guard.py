@@ -63,9 +63,9 @@ class Guard:
 
     def _limit(self, stored: StoredChannel, peak: float, warn: float | None, stop: float | None) -> None:
         name, unit = stored.channel.name, stored.channel.unit
-        if stop is not None and peak > stop:
+        if stop is not None and not peak <= stop:  # a sample that is no number keeps no limit
             self._stop(f"channel {name!r} reached {peak:.4g} {unit}, over its stop limit {stop:g} {unit}")
-        if warn is not None and peak > warn:
+        if warn is not None and not peak <= warn:
             self._warn(
                 f"warn {name}", f"channel {name!r} reached {peak:.4g} {unit}, over its warning limit {warn:g} {unit}"
             )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self, final
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.block import Block
 from drivers.digitiser import Digitiser
+from labnnum.errors import LabnnumError
 
 LIVE = 64 * 2**20
 """Bytes of stored blocks that wait for the live display at most; older ones are skipped, on the disk they are whole."""
@@ -86,6 +88,9 @@ class Recorder:
         self._next: int | None = None
         self._overflowed = False
         self.stored = self.lost = self.overflows = 0
+        self.silence: Callable[[], None] = lambda: None
+        """Called at once, by the thread that records, when its device, guard or disk ends the run: nobody guards any
+        more, whatever blocks others still have to take."""
 
     def __enter__(self) -> Self:
         self._digitiser.start()
@@ -159,6 +164,9 @@ class Recorder:
                 self._hand_over(one)
         except BaseException as error:
             self._error = error
+        if not self._stop.is_set():
+            with suppress(LabnnumError):  # whoever takes the error switches off again, and tells
+                self.silence()
         with self._condition:
             self._ended = True
             self._condition.notify()

@@ -28,6 +28,9 @@ TRIES = 14
 LATENCY = 0.15
 """s that are waited after each change besides the ramp: devices answer late."""
 
+HEARD = 3.0
+"""Standard errors that a tone at full volts must stand above, or its channel hears nothing of it."""
+
 Blocks = Iterator[tuple[Stored, NDArray[np.float64]]]
 
 
@@ -117,7 +120,7 @@ class ShakerRun(_Excited):
         """Reach the level, hold it, record the whole stretch, and lower the generator."""
         drive = waveform(self.excitation, self.rate, self.desk.item.realisation)
         begin = self.exciter.arm(drive.samples, repeat=True)
-        if begin is None and drive.kind == "burst random":
+        if begin is None and drive.kind == "burst random" and not self._silenced:
             self.desk.off()
             raise ConfigError("burst random needs a generator in step with the digitiser, such as its own output")
         self.desk.status.state = f"raising to {self.target:g} {self.unit} RMS"
@@ -246,10 +249,12 @@ class SteppedRun(_Excited):
     def _cycles(self, frequency: float, cycles: float) -> int:
         return max(round(cycles * self.rate / frequency), 8)
 
-    def _amplitude(self, frequency: float) -> NDArray[np.complex128]:
+    def _level(self, frequency: float) -> tuple[float, float]:
+        """RMS of the tone in the controlled channel, and its standard error."""
         n = self._cycles(frequency, max(4, self.excitation.cycles // 4))
         start = self.wait_whole(n)
-        return tone(self.desk.tail.cut(start, start + n), self.rate, frequency)[0]
+        amplitude, variance = tone(self.desk.tail.cut(start, start + n)[[self.row]], self.rate, frequency)
+        return float(np.abs(amplitude[0]) / np.sqrt(2)), float(np.sqrt(variance[0] / 2))
 
     def _hold(self, frequency: float, volts: float) -> tuple[float, float]:
         """Bring the tone to its level; the volts and the relative error that is left."""
@@ -259,13 +264,25 @@ class SteppedRun(_Excited):
             volts = min(volts, most)
             self.volts(volts)
             self.wait(round((LATENCY + self.excitation.settle) * self.rate))
-            own = float(np.abs(self._amplitude(frequency)[self.row])) / np.sqrt(2)
+            own, error = self._level(frequency)
             self.desk.status.level = own
+            if volts >= most and not own > HEARD * error and not self._silenced:
+                self._deaf(frequency, own)
             off = own / self.target - 1
             if abs(off) <= self.excitation.tolerance or (off < 0 and volts >= most):
                 break
             volts *= float(np.clip(self.target / own, 1 / STEP, STEP)) if own > 0 else STEP
         return volts, off
+
+    def _deaf(self, frequency: float, own: float) -> None:
+        """SafetyError: the loudest tone is not heard; output switched off."""
+        self.desk.off()
+        name, volts = self.desk.rig.channels[self.row].name, self.desk.status.volts
+        raise SafetyError(
+            f"{self.desk.item.key}: channel {name!r} hears nothing of {frequency:.4g} Hz at {volts:.3g} V RMS, the most"
+            f" that generator.max_volts allows ({own:.3g} {self.unit} RMS): is the amplifier on, and the sensor"
+            " connected? Output switched off"
+        )
 
     def _keep(self, frequency: float, direction: str, off: float) -> NDArray[np.complex128]:
         n = self._cycles(frequency, self.excitation.cycles)

@@ -194,7 +194,11 @@ class Generator(ABC):
             It did not confirm: the message asks a person to switch it off.
         """
         with self._lock:
-            failure = self._try_off()
+            try:
+                failure = self._try_off()
+            except BaseException:  # an impatient second Ctrl-C
+                self._blindly()
+                raise
             if failure is not None:
                 raise SafetyError(f"{self._name}: {failure}; its output may be on: switch it off by hand")
 

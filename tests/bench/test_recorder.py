@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -72,6 +73,31 @@ def test_every_block_is_stored_and_handed_over_in_order(make):
     assert [k for k, g in enumerate(got) if g.broken] == [3, 7]
     assert [b.start for b in sink.blocks] == [b.start for b in source]
     assert (recorder.lost, recorder.stored) == (20, 1280)
+
+
+@pytest.mark.parametrize(
+    ("error", "fail_at", "kept", "fails"),
+    [(DeviceLostError("unplugged"), None, 9, True), (None, 4, 4, True), (None, None, 9, False)],
+)
+def test_when_recording_ends_by_itself_silence_comes_before_the_blocks_that_wait_are_taken(error, fail_at, kept, fails):
+    off = threading.Event()
+    recorder = Recorder(Fast(blocks(9), error), Sink(fail_at=fail_at))
+    recorder.silence = off.set
+    got = []
+    with recorder, pytest.raises((DeviceLostError, StoreError)) if fails else nullcontext():
+        assert off.wait(60)
+        while (one := recorder.take()) is not None:
+            got.append(one)
+    assert len(got) == kept
+
+
+def test_a_recording_that_is_ended_by_others_is_not_theirs_to_silence():
+    off = threading.Event()
+    recorder = Recorder(Fast(blocks(10**6)), Sink())
+    recorder.silence = off.set
+    with recorder:
+        recorder.take()
+    assert not off.is_set()
 
 
 def test_guard_acts_before_the_disk_and_its_block_is_kept():

@@ -3,14 +3,21 @@
 import signal
 import subprocess
 import sys
+import threading
 import time
 
+import numpy as np
 import pytest
 
+from drivers.block import Block
 from drivers.simulated import SimulatedBench, SimulatedExciter
-from labnnum.errors import SafetyError, StoreError
+from labnnum.errors import DeviceLostError, SafetyError, StoreError
+from labnnum.recording import Channel
+from sessions import tables
 from sessions.bench import measure
 from sessions.display import Quiet
+from sessions.guard import Guard
+from sessions.rig_tables import SafetyTable
 from sessions.runs import Run
 from sessions.store import open_session
 
@@ -122,6 +129,42 @@ def test_between_two_runs_a_stop_switches_nothing(tmp_path, monkeypatch):
     before = [list(e.log) for e in made]
     display.urgent()
     assert [e.log for e in made] == before
+
+
+def test_a_lost_device_is_answered_by_the_thread_that_notices(tmp_path, monkeypatch):
+    faults = ("[simulated.channel", "[simulated.faults]\nvanish = 0.7\n[simulated.channel")
+    rig = shaker_rig(tmp_path, ("block = 256", "block = 64\nreal_time = true"), faults)
+    threads, off = [], SimulatedExciter.off
+    monkeypatch.setattr(
+        SimulatedExciter, "off", lambda this: (threads.append(threading.current_thread().name), off(this))
+    )
+    with pytest.raises(DeviceLostError, match="unplugged"):
+        measure(rig, tmp_path / "out.h5")
+    assert threads[0] == "recorder"
+
+
+def test_a_sample_that_is_no_number_keeps_no_limit():
+    stored = tables.StoredChannel(Channel("force", "force", "reference"))
+    off = []
+    guard = Guard([stored], {"force": (None, 3.0)}, SafetyTable(), lambda: off.append("off"))
+    guard(Block(np.array([[1.0, 2.0]]), 0, 0.0))
+    with pytest.raises(SafetyError, match="'force' reached nan N, over its stop limit 3 N"):
+        guard(Block(np.array([[1.0, np.nan]]), 2, 0.0))
+    assert off == ["off"]
+
+
+def test_a_tone_that_is_not_heard_at_full_volts_ends_the_run_with_the_output_off(tmp_path, monkeypatch):
+    made = exciters(monkeypatch)
+    rig = shaker_rig(
+        tmp_path, *STEPPED, ("[simulated.channel", "[simulated.channel.force]\ngain = 0\n[simulated.channel")
+    )
+    with pytest.raises(
+        SafetyError, match=r"'force' hears nothing of 5 Hz at 5.66 V RMS, the most that .* switched off"
+    ):
+        measure(rig, tmp_path / "out.h5")
+    (exciter,) = made
+    assert exciter.log[-1] == "off"
+    assert exciter.volts == 0.0
 
 
 def test_overload_and_lost_frames_can_stop(tmp_path):

@@ -221,6 +221,30 @@ def test_levels_are_reached_in_steps_and_off_holds_against_whoever_is_raising_th
     assert not line.instrument.settings.output
 
 
+def test_an_impatient_interruption_while_it_is_switched_off_finds_it_off(bench):
+    line, generator = bench
+    with generator:
+        play(generator)
+        read, asked = generator.transport.read_until, []
+
+        def interrupted(end=b"\n", timeout=1.0):
+            asked.append(end)
+            if len(asked) == 1:
+                raise KeyboardInterrupt
+            return read(end, timeout)
+
+        generator.transport.discard()
+        write = generator.transport.write
+        generator.transport.read_until = interrupted
+        generator.transport.write = lambda data: None if not asked else write(data)  # it had not been sent yet
+        with pytest.raises(KeyboardInterrupt):
+            generator.off()
+        patience = time.monotonic() + 5.0
+        while line.instrument.settings.output and time.monotonic() < patience:
+            time.sleep(0.01)
+        assert not line.instrument.settings.output
+
+
 def test_an_exciter_that_let_its_line_go_leaves_whoever_took_it_alone(bench):
     """A "stop" that comes late reaches the run before: the port is the next one's by now."""
     line, generator = bench
