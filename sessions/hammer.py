@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.trigger import Event, Trigger
 from labnnum.clipping import noise_level
+from labnnum.errors import DriverError
 from labnnum.estimators import H1, Hits
 from labnnum.hammer import (
     HitSettings,
@@ -80,6 +81,13 @@ class HammerRun:
 
     def measure(self) -> None:
         """Take hits until enough are accepted, and in an attended plan until the person says "next"."""
+        try:
+            self._measure()
+        except DriverError:
+            self._obey()  # what was said of a hit before the end holds
+            raise
+
+    def _measure(self) -> None:
         desk, detector = self.desk, self.trigger.start()
         missed, largest = 0, 0.0
         self._show()

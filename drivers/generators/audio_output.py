@@ -222,7 +222,7 @@ class AudioOutput(Exciter):
             raise ConfigError(f"the waveform to play must be finite samples in a row, not of shape {wave.shape}")
         self._crest = float(np.abs(wave).max())
         self._begin(Wave(wave, repeat), Goal(0.0, 0))
-        if self._frame_at is None:
+        if self._frame_at is None or not self._ready:
             return None
         time.sleep(PRIMING)
         return self._frame_at(self.clock.time_of(self._player.begin) + self._stream.latency + self._fetch / self._rate)
@@ -280,6 +280,7 @@ class AudioOutput(Exciter):
             self._ready, self.volts = False, 0.0
             self._player.goal = Goal(0.0, 0)
             self._player.play(None)
+            self._player.begun.set()  # whoever waits for a beginning need not wait any longer
             if self._stream is not None:
                 self._stream.abort(ignore_errors=True)
 

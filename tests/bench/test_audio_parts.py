@@ -13,7 +13,7 @@ from drivers.audio import AudioDigitiser, checked
 from drivers.clock import Clock, drift_between
 from drivers.generators.audio_output import AudioOutput, Goal, Player, Tone, Wave
 from drivers.ring import Ring
-from labnnum.errors import DeviceNotFoundError, ProtocolError
+from labnnum.errors import DeviceNotFoundError, LabnnumError, ProtocolError
 
 
 def numbered(start, n):
@@ -209,6 +209,27 @@ def test_an_output_on_another_device_is_held_against_the_digitisers_clock():
         digitiser.add(n, n / 48000)
         output.clock.add(n, n / (48000 * (1 - 120e-6)))
     assert output.notes == ("other: its clock runs 120 ± 0 ppm slow against the digitiser's",)
+
+
+def test_switching_off_while_a_tone_begins_is_no_fault_of_the_device():
+    output, failed = AudioOutput("fake", 48000), []
+    output._stream = SimpleNamespace(active=True, abort=lambda ignore_errors: None)
+
+    def begin():
+        try:
+            output.tone(100.0)
+        except LabnnumError as error:
+            failed.append(error)
+
+    beginning = threading.Thread(target=begin)
+    beginning.start()
+    while not output._ready:
+        threading.Event().wait(0.001)
+    output.off()
+    beginning.join(60)
+    assert failed == []
+    output.set_volts(0.5)
+    assert output.volts == 0.0
 
 
 def rendered(player, frames, column=0, fetch=37):

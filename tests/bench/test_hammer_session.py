@@ -75,6 +75,14 @@ def test_the_person_rejects_undoes_and_goes_on(tmp_path):
     assert outcome.complete
 
 
+def test_what_is_said_of_a_hit_in_one_breath_with_stop_holds(tmp_path):
+    outcome = measure(hammer_rig(tmp_path), tmp_path / "out.h5", Quiet([(1, "reject 0"), (1, "stop")]))
+    assert outcome.items["hammer 1:x"] == "stopped by the user"
+    with open_session(tmp_path / "out.h5") as session:
+        (hit,) = session.runs[0].hits
+    assert (hit.accepted, hit.reason) == (False, "rejected by the user")
+
+
 def test_only_the_best_hits_stay(tmp_path):
     rig = hammer_rig(tmp_path, ("hits = 3", "hits = 5\nbest = 3"))
     outcome = measure(rig, tmp_path / "out.h5")
@@ -138,7 +146,7 @@ def test_accepted_hits_of_a_dead_response_end_no_run_and_the_point_can_be_taken_
     assert display.last is not None
     assert display.last.curves is None
     with open_session(tmp_path / "out.h5") as session:
-        assert [h.reason for run in session.runs for h in run.hits if h.accepted][0] == "accepted by the user"
+        assert next(h.reason for run in session.runs for h in run.hits if h.accepted) == "accepted by the user"
 
 
 def test_a_hit_at_another_point_is_found(tmp_path):
