@@ -32,6 +32,9 @@ from sessions.shaker import ShakerRun, SteppedRun
 from sessions.snapshot import Progress
 from sessions.store import Session, create_session, discard_empty, open_session
 
+IDENTITY = ("name", "basis", "periodic", "burst")
+"""Settings in which a stored FRF must agree with one of the same values, so that it need not be stored again."""
+
 STOPPED, GO_ON = "stopped by the user", "the same command goes on from here"
 
 
@@ -343,7 +346,7 @@ def _stored(session: Session, name: str, frf: Frf, basis: Mapping[str, Any]) -> 
     told = {**frf.settings, "basis": dict(basis), "name": name}
     made = replace(frf, settings=told)
     for old in session.frfs():
-        if old.settings.get("basis") == told["basis"] and old.settings.get("name") == name and _same(old, frf):
+        if all(old.settings.get(key) == told.get(key) for key in IDENTITY) and _same(old, frf):
             return made
     session.add_frf(made, name=name)
     return made

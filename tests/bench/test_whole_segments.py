@@ -1,5 +1,7 @@
 """Bursts and periods on the simulated bench: nothing leaks, whatever was lost in between, and updating knows it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,21 @@ def test_after_an_uncounted_loss_no_burst_is_guessed(tmp_path):
         first = min(at for at in run.gaps() if at > hit.start)
     assert first < hit.stop - 4096
     assert recording.bursts == tuple(range(hit.start, first, 1024))
+    (told,) = [m for m in outcome.messages if "left out: it is not known where bursts begin" in m]
+    assert told.startswith("burst-random 1: ")
     found = outcome.frfs["burst-random 1"]
     assert found.n_averages == (first - hit.start) // 1024
     assert 0.5 < agreement(rig, found) < 1.6
+
+
+def test_an_frf_that_an_earlier_version_stored_without_its_mark_is_stored_again_with_it(tmp_path):
+    rig, path = shaker_rig(tmp_path, LEVEL, BURSTS[1]), tmp_path / "out.h5"
+    (found,) = measure(rig, path).frfs.values()
+    unmarked = {k: v for k, v in found.settings.items() if k != "burst"}
+    with open_session(path, "a") as session:
+        del session.node("results")["frf"]
+        session.add_frf(replace(found, settings=unmarked), name="burst-random 1")
+    for _ in range(2):
+        measure(rig, path)
+        with open_session(path) as session:
+            assert [f.settings.get("burst") for f in session.frfs()] == [None, True]
