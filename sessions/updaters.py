@@ -1,8 +1,9 @@
 """Updater files (.h5): a trained network with its bands, range, model and validation, to load years later.
 
 Layout of format 2: arrays of the network under /network, of the features under /features (where they have any), of
-the novelty check under /novelty; frequency, validation
-and fingerprint at the root; everything else as JSON in /about; the model file's text in /model.toml.
+the novelty check under /novelty; frequency, validation,
+fingerprint and, where a measurement's random error was taken for the training, trained_variance (relative, a line each)
+at the root; everything else as JSON in /about; the model file's text in /model.toml.
 
 Files of every format up to this one are read. Whatever a format added stands in `ADDED`: an older file may lack it, and
 the network's own default holds; a file of its format or a later one that lacks it is damaged. A file of a later format
@@ -144,6 +145,8 @@ def _write(file: Any, updater: Updater, path: Path, model: Model | None) -> None
     novelty.create_dataset("box", data=updater.novelty.box)
     file.create_dataset("frequency", data=updater.frequency)
     file.create_dataset("validation", data=updater.validation)
+    if updater.trained_variance is not None:
+        file.create_dataset("trained_variance", data=updater.trained_variance)
     file.create_dataset("fingerprint", data=fingerprint(updater.structure))
     features = updater.features.settings()
     large = {key: value for key, value in features.items() if isinstance(value, np.ndarray)}
@@ -190,6 +193,7 @@ def _read(file: Any, path: Path, structure: Structure | None) -> Updater:
         novelty=Novelty(file["novelty/differences"][()], file["novelty/box"][()]),
         validation=file["validation"][()],
         settings=about["settings"],
+        trained_variance=file["trained_variance"][()] if "trained_variance" in file else None,
     )
 
 

@@ -6,7 +6,9 @@ import pytest
 
 from labnnum.bands import Band
 from labnnum.errors import FileError, ModelError
+from labnnum.frf import Frf
 from labnnum.recording import Channel
+from labnnum.response import frf
 from labnnum.updating import Updater
 from labnnum.updating.gains import n_polynomials
 from labnnum.updating.training import TrainingSet
@@ -75,6 +77,27 @@ def test_a_stored_updater_answers_the_same(case):
     assert [p.name for p in again.structure.parameters] == ["k", "m"]
     assert np.array_equal(again.novelty.box, trained.novelty.box)
     assert load_updater(path, model.structure).structure is model.structure
+
+
+def test_the_random_error_taken_for_the_training_comes_back_and_may_be_missing(case, tmp_path):
+    _, model, _, path = case
+    value = frf(model.structure, [5200.0, 1.05], LINES, OUT, IN)
+    exact = [Frf(LINES, value, OUT, IN, variance=(share * np.abs(value)) ** 2) for share in (0.005, 0.03)]
+    like, noisier = exact
+    trained = Updater.train(model.structure, model.bands, OUT, IN, LINES, samples=64, like=like)
+    stored = save_updater(tmp_path / "like.h5", trained)
+    again = load_updater(stored, model.structure)
+    assert again.trained_variance is not None
+    assert np.allclose(again.trained_variance, 0.005**2, rtol=1e-9)
+    wanted = trained.network_estimate(noisier).std
+    assert np.array_equal(again.network_estimate(noisier).std, wanted)
+    assert (wanted > 1.2 * np.sqrt(np.diag(trained.network.residual))).any()
+    with h5py.File(stored, "a") as file:
+        del file["trained_variance"]
+    older = load_updater(stored, model.structure)
+    assert older.trained_variance is None
+    assert (older.network_estimate(noisier).std >= (1 - 1e-9) * wanted).all()
+    assert load_updater(path).trained_variance is None
 
 
 def test_another_model_is_refused(case, tmp_path):

@@ -85,16 +85,20 @@ class Disturbance:
         """Whether nothing is added."""
         return self.relative == 0.0 and self.variance is None
 
+    @property
+    def power(self) -> float | NDArray[np.float64]:
+        """E|dH|^2 / |H|^2 of all that is added."""
+        return self.relative**2 + (0.0 if self.variance is None else self.variance)
+
     def on(self, value: NDArray, seed: int, first: int) -> NDArray[np.complex128]:
         """FRFs (n, n_out, n_in, n_f) with noise; sample number first + i has its own random stream."""
         if self.is_none:
             return value
         out = np.array(value, complex)
-        power = self.relative**2 + (0.0 if self.variance is None else self.variance)
         for i, one in enumerate(out):
             rng = np.random.default_rng([seed, first + i, 77])
             normal = rng.standard_normal((2, *one.shape))
-            one *= 1 + np.sqrt(power / 2) * (normal[0] + 1j * normal[1])
+            one *= 1 + np.sqrt(self.power / 2) * (normal[0] + 1j * normal[1])
         return out
 
 

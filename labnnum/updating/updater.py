@@ -22,7 +22,6 @@ from labnnum.updating.fitting import fit_printed, fit_tuned
 from labnnum.updating.kinds import make_features
 from labnnum.updating.matching import matched
 from labnnum.updating.network import RbfNetwork
-from labnnum.updating.noise import noise_of
 from labnnum.updating.novelty import Novelty, feature_noise
 from labnnum.updating.refine import refine
 from labnnum.updating.seen import view_like, view_settings
@@ -64,6 +63,9 @@ class Updater:
         Mean and largest relative error of the network over sets from the prior, in percent (equations 4.4, 4.5).
     settings : mapping
         Samples, seed, sampling, margin, noise, network, and the window of the training FRFs.
+    trained_variance : ndarray, shape (n_out, n_in, n_f), optional
+        E|dH|^2 / |H|^2 put on the training FRFs where a measurement's random error was taken; None where none was,
+        and in files that did not keep it.
     """
 
     structure: Structure
@@ -75,6 +77,7 @@ class Updater:
     novelty: Novelty
     validation: NDArray[np.float64]
     settings: dict[str, Any]
+    trained_variance: NDArray[np.float64] | None = None
 
     @property
     def bands(self) -> tuple[Band, ...]:
@@ -166,7 +169,7 @@ class Updater:
         }  # fmt: skip
         return cls(
             plan.structure, plan.features, plan.outputs, plan.inputs, plan.frequency, trained, novelty, validation,
-            settings,
+            settings, plan.noise.variance,
         )  # fmt: skip
 
     def network_estimate(self, frf: Frf) -> Estimate:
@@ -237,22 +240,28 @@ class Updater:
         return replace(found, warnings=(*remarks, *flags, *self._outside(found)))
 
     def _beyond_training(self, slope: NDArray, scatter: NDArray, frf: Frf) -> NDArray[np.float64]:
-        """Covariance of the answer by the measurement's random error, less what the training noise already gave."""
+        """Covariance of the answer by the measurement's random error, less what the training noise already gave.
+
+        Where the training noise is not known, nothing is taken off: the answer is then rather too modest.
+        """
         spread = np.array([p.spread for p in self.structure.parameters])
 
         def of(errors: NDArray) -> NDArray[np.float64]:
             moved = (slope @ errors.T) / spread[:, None]
             return moved @ moved.T / errors.shape[0]
 
-        if self.settings.get("noise"):
-            trained = (self.settings["noise"] * np.abs(frf.value)) ** 2
-        elif self.settings.get("noise_like_measured"):
-            trained = noise_of(frf).variance
-        else:
+        trained = Disturbance(self.settings.get("noise") or 0.0, self._trained_variance(frf))
+        if trained.is_none:
             return of(scatter) * np.outer(spread, spread)
-        known = of(feature_noise(frf, self.features, trained))
+        known = of(feature_noise(frf, self.features, trained.power * np.abs(frf.value) ** 2))
         power, vectors = np.linalg.eigh(of(scatter) - known)
         return (vectors * np.maximum(power, 0.0)) @ vectors.T * np.outer(spread, spread)
+
+    def _trained_variance(self, frf: Frf) -> NDArray[np.float64] | None:
+        """The variance of the training on the lines of an FRF, which are the training's or some of them."""
+        if self.trained_variance is None:
+            return None
+        return self.trained_variance[..., common_lines(self.frequency, frf.frequency)]
 
     def _box(self) -> NDArray[np.float64]:
         """Range of the training parameters, shape (2, n_parameters)."""

@@ -62,6 +62,41 @@ def test_a_network_trained_with_less_noise_than_is_measured_says_so_in_its_devia
     assert (estimate.std >= (1 - 1e-9) * np.sqrt(np.diag(trained.network.residual))).all()
 
 
+def like_measured(features="score", samples=1500, centres=200):
+    """An updater trained with the random error of a measurement of 0.5 %."""
+    like = measured(STRUCTURE, STRUCTURE.nominal, LINES, OUTPUTS, INPUTS, relative=0.005)
+    return Updater.train(
+        STRUCTURE, BANDS, OUTPUTS, INPUTS, LINES, samples=samples, centres=centres, features=features, like=like
+    )
+
+
+def test_a_measurement_noisier_than_the_one_trained_like_has_wider_deviations():
+    trained = like_measured()
+    standardised = []
+    for i, theta in enumerate(truths(STRUCTURE, 60, seed=2)):
+        frf = measured(STRUCTURE, theta, LINES, OUTPUTS, INPUTS, relative=0.03, seed=i)
+        estimate = trained.network_estimate(frf)
+        standardised.append((estimate.value - theta) / estimate.std)
+    standardised = np.array(standardised)
+    spread = np.sqrt(np.mean(standardised**2, axis=0))
+    assert (spread > 0.6).all()
+    assert (spread < 1.4).all()
+    assert np.mean(np.abs(standardised) < 1.645) > 0.8
+    unknown = replace(trained, trained_variance=None).network_estimate(frf)
+    assert (unknown.std >= (1 - 1e-9) * estimate.std).all()
+    assert (unknown.std < 1.1 * estimate.std).all()
+
+
+def test_a_measurement_like_the_one_trained_like_adds_nothing_even_on_other_lines():
+    trained = like_measured("log", 300, 100)
+    frf = measured(STRUCTURE, STRUCTURE.nominal, LINES, OUTPUTS, INPUTS, relative=0.005, seed=4)
+    alone = np.sqrt(np.diag(trained.network.residual))
+    assert np.allclose(trained.network_estimate(frf).std, alone, rtol=1e-3)
+    finer = np.linspace(LINES[0], LINES[-1], 2 * LINES.size)
+    frf = measured(STRUCTURE, STRUCTURE.nominal, finer, OUTPUTS, INPUTS, relative=0.005, seed=4)
+    assert np.allclose(trained.network_estimate(frf).std, alone, rtol=0.2)
+
+
 @pytest.mark.parametrize("factor", [0.75, 1.25])
 def test_parameters_outside_the_training_are_flagged(updater, factor):
     theta = STRUCTURE.nominal
