@@ -1,12 +1,15 @@
 """Diagnosis from natural frequencies: what a model misses, what would explain it, and what cannot be told apart."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from labnnum.errors import FileError
+from labnnum.errors import FileError, ModelError
 from labnnum.response import modes
+from sessions.cli import app
 from sessions.diagnose_modes import diagnose_modal_file, diagnose_modes, is_modal_table, read_modal_table
 from sessions.modal_fit import candidates, fit_modes
 from sessions.model import parse_model, read_model
@@ -127,3 +130,68 @@ def test_bad_tables_are_refused(tmp_path, rows, words):
     path.write_text(f"run,f1,f2\n{rows}")
     with pytest.raises(FileError, match=words):
         read_modal_table(path)
+
+
+FREE = """
+[structure]
+kind = "chain"
+mass = [{ node = "1", mass = 1.0 }, { node = "2", mass = 2.0 }, { node = "3", mass = "m" }, { node = "4", mass = 1.4 }]
+link = [
+    { between = ["1", "2"], stiffness = 4000.0 },
+    { between = ["2", "3"], stiffness = "k" },
+    { between = ["3", "4"], stiffness = 5000.0 },
+]
+[[parameter]]
+name = "k"
+nominal = 3000.0
+lower = 2000.0
+upper = 4000.0
+std = 150.0
+[[parameter]]
+name = "m"
+nominal = 1.0
+lower = 0.5
+upper = 1.5
+std = 0.01
+"""
+
+
+def free_table(path, text, rows=12, scatter=5e-4):
+    """A table of the frequencies of a free structure that a test on soft springs gives: without its rigid motion."""
+    model = parse_model(text, path)
+    found = modes(model.structure, model.structure.nominal).frequency
+    repeated = found[found > 0] * (1 + scatter * np.random.default_rng(0).standard_normal((rows, 3)))
+    path.write_text("f1,f2,f3\n" + "\n".join(",".join(f"{f:.9g}" for f in row) for row in repeated) + "\n")
+    return found
+
+
+def test_a_free_structure_is_compared_without_its_rigid_motion(tmp_path):
+    (tmp_path / "free.toml").write_text(FREE)
+    found = free_table(tmp_path / "f.csv", FREE)
+    assert found[0] == 0
+    given = ["diagnose", str(tmp_path / "f.csv"), "--model", str(tmp_path / "free.toml"), "-o", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, given)
+    assert result.exit_code == 0, result.output
+    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert said["verdict"] == "consistent"
+    assert max(abs(m["missing"]) for m in said["modes"]) < 1e-3
+    assert len(said["modes"]) == 3
+
+
+def test_what_is_added_to_a_free_structure_is_fitted_without_its_rigid_motion(tmp_path):
+    model = parse_model(FREE, tmp_path / "free.toml")
+    measured = free_table(tmp_path / "f.csv", FREE.replace("mass = 1.4", "mass = 1.7"))[1:]
+    base = fit_modes(model.structure, None, measured, np.full(3, 0.001))
+    terms = candidates(model)
+    fits = [fit_modes(model.structure, term, measured, np.full(3, 0.001)) for term in terms]
+    assert all(f.chi2 <= base.chi2 + 1e-6 for f in fits)
+    mass = fits[[(t.mechanism.id, t.place.id) for t in terms].index(("added-mass", "4"))]
+    assert mass.value[0] == pytest.approx(0.3, rel=0.05)
+    assert np.abs(mass.missing).max() < 1e-3 < np.abs(base.missing).max()
+
+
+def test_more_frequencies_than_the_model_has_modes_are_refused(tmp_path):
+    (tmp_path / "free.toml").write_text(FREE)
+    (tmp_path / "f.csv").write_text("f1,f2,f3,f4\n5,9,12,15\n")
+    with pytest.raises(ModelError, match="4 natural frequencies were measured, but the model has only 3 modes"):
+        diagnose_modal_file(tmp_path / "f.csv", tmp_path / "free.toml", tmp_path / "out")
