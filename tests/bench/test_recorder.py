@@ -93,7 +93,9 @@ def test_when_recording_ends_by_itself_silence_comes_before_the_blocks_that_wait
 
 def test_a_recording_that_is_ended_by_others_is_not_theirs_to_silence():
     off = threading.Event()
-    recorder = Recorder(Fast(blocks(10**6)), Sink())
+    device = Fast(())
+    device._source = blocks(10**9)  # it delivers for as long as it is read
+    recorder = Recorder(device, Sink())
     recorder.silence = off.set
     with recorder:
         recorder.take()
