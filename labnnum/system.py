@@ -89,7 +89,6 @@ def system(structure: Structure, theta: ArrayLike, outputs: Sequence[Channel], i
     based = any(c.role == "base" for c in inputs)
     if based and (len(inputs) != 1 or inputs[0].quantity != "acceleration"):
         raise ChannelError("a base-driven structure takes one input: the acceleration of its base")
-    rigid = np.asarray(structure.rigid(theta), float) if based else np.zeros(len(M))
     if based:
         load = -np.asarray(structure.base_load(theta), float)[:, None] * inputs[0].sign
     else:
@@ -98,7 +97,7 @@ def system(structure: Structure, theta: ArrayLike, outputs: Sequence[Channel], i
         np.array([_output_rows(structure, c, theta) for c in outputs]).reshape(-1, 3, len(M)), 1, 0
     )
     out = System(M, C, K, load, pu, pv, pa, np.zeros((len(outputs), len(inputs))))
-    return _absolute(out, outputs, inputs[0].sign, rigid, structure.base) if based else out
+    return _absolute(out, outputs, inputs[0].sign, structure.base) if based else out
 
 
 def _row(structure: Structure, channel: Channel, theta: NDArray) -> NDArray[np.float64]:
@@ -117,20 +116,18 @@ def _output_rows(structure: Structure, channel: Channel, theta: NDArray) -> list
     return [row if order == k else np.zeros(n) for k in range(3)]
 
 
-def _absolute(relative: System, outputs: Sequence[Channel], sign: float, rigid: NDArray, direction: str) -> System:
-    """Add the base's own motion to each output that moves along with it."""
-    accelerations = relative.acceleration @ rigid * sign
-    based = [c.role == "base" for c in outputs]
-    feed = np.where(based, [c.sign * sign for c in outputs], accelerations)
-    follows = (relative.displacement + relative.velocity) @ rigid * sign
+def _absolute(relative: System, outputs: Sequence[Channel], sign: float, direction: str) -> System:
+    """Add the base's own motion to each output along it, at a clamped support too."""
+    along = [c.role == "base" or c.direction.lstrip("+-") == direction for c in outputs]
+    carried = np.where(along, [c.sign * sign for c in outputs], 0.0)
     lower = np.array([MOTION_ORDER[c.quantity] for c in outputs])
-    follows = np.where(np.array(based) & (lower < 2), [c.sign * sign for c in outputs], follows)
-    feed = np.where(lower == 2, feed, 0.0)
+    feed = np.where(lower == 2, carried, 0.0)
     out = System(
         relative.M, relative.C, relative.K, relative.load,
         relative.displacement, relative.velocity, relative.acceleration, feed[:, None],
     )  # fmt: skip
-    return _with_base_coordinate(out, np.where(lower < 2, follows, 0.0), lower) if follows.any() else out
+    follows = np.where(lower < 2, carried, 0.0)
+    return _with_base_coordinate(out, follows, lower) if follows.any() else out
 
 
 def _with_base_coordinate(out: System, follows: NDArray, order: NDArray) -> System:

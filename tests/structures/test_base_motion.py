@@ -9,11 +9,13 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel
 from labnnum.response import frf, frf_sensitivity
+from labnnum.simulation import Simulation
 from labnnum.structures import Beam, Frame, MatrixStructure
 from labnnum.structures.beam import Lump
 from labnnum.structures.frame import Member, Profile
 from labnnum.structures.quantities import modal, proportional
 from labnnum.structures.section import Section
+from labnnum.system import system
 from labnnum.updating.batch import FrfBatch
 
 EI, RHO_A, L = 120.0, 2.5, 0.8
@@ -94,3 +96,23 @@ def test_all_that_computes_frfs_of_it_agrees():
         down[j] -= step
         moved = (frf(s, up, at, out, [BASE]) - frf(s, down, at, out, [BASE])) / (2 * step)
         np.testing.assert_allclose(slopes[j], moved, rtol=1e-5, atol=1e-5 * np.abs(moved).max())
+
+
+@pytest.mark.parametrize("made", [cantilever, column, in_matrices])
+def test_a_sensor_at_the_clamp_moves_with_the_base_in_time_too(made):
+    """An accelerometer and a pickup of displacement, one upside down: as in the FRF, and in a march."""
+    s, at = made(4), np.linspace(20.0, 300.0, 12)
+    held = [
+        Channel("a", "acceleration", "response", "1", "z"),
+        Channel("b", "acceleration", "response", "1", "-z"),
+        Channel("d", "displacement", "response", "1", "z"),
+        Channel("tip", "acceleration", "response", "5", "z"),
+    ]
+    value, plant = frf(s, [], at, held, [BASE])[:, 0], system(s, [], held, [BASE])
+    np.testing.assert_allclose(value[:3], [1 + 0 * at, -1 + 0 * at, -1 / (2 * np.pi * at) ** 2], rtol=1e-9)
+    np.testing.assert_allclose(plant.frf(at)[:, 0], value, rtol=1e-7)
+    shaken = np.sin(2 * np.pi * 30 * np.arange(2000) / 4096)[None]
+    seen = Simulation(plant, 1 / 4096).run(shaken)
+    steps = seen.shape[1]
+    np.testing.assert_allclose(seen[:2], np.vstack([shaken, -shaken])[:, :steps], atol=1e-9)
+    assert np.abs(seen[3] - shaken[0, :steps]).max() > 0.01
