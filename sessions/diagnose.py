@@ -139,15 +139,50 @@ def write_answer(folder: Path, read: Model, d: Diagnosis) -> dict[str, Any]:
 
 def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
     """The model with its updated parameters, fitted damping and named mechanisms, as a model of its own."""
-    ratios = [float(f"{z:.6g}") for z in _ratios(d)]
-    tables = dict(model.raw)
+    ratios, theta = np.array([float(f"{z:.6g}") for z in _ratios(d)]), d.detail["final"].point.theta
+    tables, factors = dict(model.raw), np.ones(0)
     if tables["structure"].get("kind") == "modal":
-        own = [{**m, "damping_ratio": z} for m, z in zip(tables["structure"]["mode"], ratios, strict=False)]
-        tables["structure"] = {**tables["structure"], "mode": own}
+        tables, theta, factors = _damped_modes(model, ratios, theta, d.detail["engine"].band_modes)
     elif not _keeps_damping(model.structure):
-        tables["damping"] = {"kind": "modal", "ratio": ratios}
+        tables["damping"] = {"kind": "modal", "ratio": ratios.tolist()}
+    else:
+        factors = _losses(d)
     damped = replace(model, raw=tables)
-    write_updated(path, damped, d.detail["final"].point.theta, [*_entries(d, path.parent), *_kept_laws(d, model)])
+    write_updated(path, damped, theta, [*_entries(d, path.parent, factors), *_kept_laws(d, model)])
+
+
+def _damped_modes(
+    model: Model, ratios: np.ndarray, theta: np.ndarray, seen: np.ndarray
+) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """Tables of a modal structure damped by `ratios`, which ascend in frequency; the parameters; and the factors by
+    which modes of the numbers `seen` damp more than a parameter says that they share.
+    """
+    tables, theta, factors = dict(model.raw), theta.copy(), np.ones(int(seen.max()) + 1)
+    own, names = model.structure.parameters[: theta.size], [p.name for p in model.structure.parameters]
+    nominal = {p.name: p.nominal for p in own}
+    modes = [dict(m) for m in tables["structure"]["mode"]]
+    ranked = sorted(modes, key=lambda m: nominal.get(m["frequency"], m["frequency"]))[: ratios.size]
+    shared: dict[str, list[int]] = {}
+    for i, (mode, ratio) in enumerate(zip(ranked, ratios.tolist(), strict=False)):
+        if isinstance(mode["damping_ratio"], str):
+            shared.setdefault(mode["damping_ratio"], []).append(i)
+        else:
+            mode["damping_ratio"] = ratio
+    for name, those in shared.items():
+        fitted = np.intersect1d(those, seen)
+        if fitted.size:
+            value = float(np.exp(np.mean(np.log(ratios[fitted]))))
+            theta[names.index(name)], factors[fitted] = value, ratios[fitted] / value
+    told = {name: theta[names.index(name)] for name in shared}
+    tables["structure"] = {**tables["structure"], "mode": modes}
+    if told:
+        tables["parameter"] = [_reaching(e, told.get(e["name"], e["nominal"])) for e in tables["parameter"]]
+    return tables, theta, factors
+
+
+def _reaching(entry: Mapping[str, Any], value: float) -> dict[str, Any]:
+    """A [[parameter]] entry whose bounds hold a value."""
+    return {**entry, "lower": min(entry["lower"], float(value)), "upper": max(entry["upper"], float(value))}
 
 
 def _keeps_damping(structure: Structure) -> bool:
@@ -202,8 +237,11 @@ def _updated(path: Path, model: Model, tables: dict[str, Any], theta: np.ndarray
     return {**tables, "structure": {**tables["structure"], "file": name}}
 
 
-def _entries(d: Diagnosis, folder: Path) -> list[dict[str, Any]]:
-    """[[mechanism]] entries: what the model held already, what was named, and the trim of the frequencies."""
+def _entries(d: Diagnosis, folder: Path, factors: np.ndarray) -> list[dict[str, Any]]:
+    """[[mechanism]] entries: what the model held already, what was named, and the trim of frequencies and of damping.
+
+    `factors` says by how much each mode damps more than the structure with its parameters does.
+    """
     out: list[dict[str, Any]] = []
     fitted = d.detail["bayes"]
     std = np.sqrt(np.diag(fitted.covariance))[fitted.n_theta :]
@@ -232,7 +270,6 @@ def _entries(d: Diagnosis, folder: Path) -> list[dict[str, Any]]:
     engine, made = d.detail["engine"], d.detail["final"]
     shift = np.zeros(int(engine.band_modes.max()) + 1)
     shift[engine.band_modes] = made.point.shift
-    factors = _losses(d) if _keeps_damping(engine.structure) else np.ones(0)
     trim = {"shift": shift} if np.any(np.abs(shift) > 1e-6) else {}
     trim |= {"damping": factors} if np.any(np.abs(factors - 1.0) > 1e-6) else {}
     if trim:
