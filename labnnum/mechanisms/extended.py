@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any, final
 
 import numpy as np
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from labnnum.errors import ConfigError, ModelError
 from labnnum.mechanisms.attached import in_structure
-from labnnum.mechanisms.base import ChannelMechanism, Group, Mechanism, Place, Site, Term
-from labnnum.mechanisms.geometry import held_motions, touching
+from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Term
 from labnnum.mechanisms.laws import Release
+from labnnum.mechanisms.let_go import LetGo
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+from labnnum.mechanisms.site import site_of
 from labnnum.nonlinear import Element
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel
@@ -94,8 +95,44 @@ class ExtendedStructure(Structure):
 
     def law_elements(self) -> tuple[Element, ...]:
         """The nonlinear laws as the time simulation takes them, at the values that the model file holds."""
-        made = (a.term.mechanism.elements(a.term, [p.nominal for p in a.parameters]) for a in self.laws)  # ty: ignore[missing-attribute]
-        return tuple(e for several in made for e in several)
+        out = []
+        for a in self.laws:
+            made = a.term.mechanism.elements(a.term, [p.nominal for p in a.parameters])  # ty: ignore[missing-attribute]
+            out += [replace(e, column=self._lifted(a.term.place, e.column[:, None])[:, 0]) for e in made]
+        return tuple(out)
+
+    @cached_property
+    def _let_go(self) -> LetGo | None:
+        return LetGo.of(self.inner, [a.term for a in self.added])
+
+    @cached_property
+    def _size(self) -> int:
+        """Number of coordinates."""
+        return len(self._nominal_mass) + sum(n for _, n in self._internal())
+
+    @cached_property
+    def _moved(self) -> NDArray[np.intp]:
+        """The inner structure's coordinates, then those of supports that were let go."""
+        out, at = list(range(len(self._nominal_mass))), len(self._nominal_mass)
+        for added, n in self._internal():
+            if any(isinstance(g.law, Release) for g in added.term.groups):
+                out += range(at, at + n)
+            at += n
+        return np.array(out)
+
+    def _lifted(self, place: Place, columns: NDArray) -> NDArray[np.float64]:
+        """Columns over all coordinates, (size, k), of those over the inner structure's."""
+        out = np.zeros((self._size, columns.shape[1]))
+        if self._let_go is None:
+            out[: len(columns)] = columns
+        else:
+            out[self._moved] = self._let_go.lifted(place, columns)
+        return out
+
+    @cached_property
+    def _columns(self) -> list[list[NDArray[np.float64]]]:
+        """Of each mechanism, the columns of its groups over all coordinates."""
+        return [[self._lifted(a.term.place, g.columns) for g in a.term.groups] for a in self.added]
 
     @cached_property
     def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray, NDArray]:
@@ -118,41 +155,42 @@ class ExtendedStructure(Structure):
         """The inner matrices with every mechanism's share, internal coordinates appended."""
         own, parts = self._split(np.asarray(theta))
         base = self.inner.matrices(own)
-        blocks = [np.array(a, dtype=np.result_type(a, theta)) for a in (base.M, base.C, base.K, base.D)]
-        freed: list[tuple[Place, Group, int]] = []
-        for added, p in zip(self.added, parts, strict=True):
+        n, change = len(base.M), own - self.inner.nominal
+        inner = (base.M, base.C, base.K, base.D)
+        blocks = [np.zeros((self._size, self._size), np.result_type(a, theta, float)) for a in inner]
+        for block, a in zip(blocks, inner, strict=True):
+            block[:n, :n] = a
+        if self._let_go is not None:
+            here = np.ix_(self._moved, self._moved)
+            blocks[0][here], blocks[2][here] = self._let_go.matrices(own)
+        at = n
+        for added, columns, p in zip(self.added, self._columns, parts, strict=True):
             if added.term.whole is not None:
-                mass, stiffness = added.term.whole.matrices(p, own - self.inner.nominal)
-                blocks[0][: len(mass), : len(mass)] += mass
-                blocks[2][: len(mass), : len(mass)] += stiffness
+                self._whole(blocks, added.term, p, change)
             elif added.term.data.get("extra_mode"):
-                blocks = self._extra_mode(blocks, p)
-            for group in added.term.groups:
+                at = _extra_mode(blocks, p, at)
+            for group, column in zip(added.term.groups, columns, strict=True):
                 q = p[group.first : group.first + len(group.law.names)]
-                law = group.law_at(own - self.inner.nominal)
                 if isinstance(group.law, Release):
-                    freed.append((added.term.place, group, len(blocks[0])))
-                blocks = _attach(blocks, law.local(q), group.columns, law.n_internal, joint=group.law.joint)
-        for (one, a, at), (other, b, to) in combinations(freed, 2):
-            if one != other:
-                self._tie(blocks, base, (a, at), (b, to))
+                    end = at + group.law.n_internal
+                    blocks[2][range(at, end), range(at, end)] += group.law.held(q)[0]
+                    at = end
+                    continue
+                law = group.law_at(change)
+                at = _attach(blocks, law.local(q), column, law.n_internal, at, joint=law.joint)
         if any(self.trim):
             self._trimmed(blocks)
         if any(v != 1.0 for v in self.losses):
             self._damped(blocks, base)
         return Matrices(*blocks)
 
-    def _tie(self, blocks: list[NDArray], base: Matrices, a: tuple[Group, int], b: tuple[Group, int]) -> None:
-        """What couples the motions of two supports that were let go, each with shapes for which the other holds."""
-        (one, at), (other, to) = a, b
-        assert one.carried is not None and other.carried is not None  # noqa: PT018
-        mass = one.carried.T @ other.columns + one.columns.T @ other.carried
-        mass = mass - one.carried.T @ np.real(self._nominal_mass) @ other.carried
-        stiffness = -one.carried.T @ base.K @ other.carried
-        rows, columns = slice(at, at + len(mass)), slice(to, to + mass.shape[1])
-        for block, tie in ((blocks[0], mass), (blocks[2], stiffness)):
-            block[rows, columns] += tie
-            block[columns, rows] += tie.T
+    def _whole(self, blocks: list[NDArray], term: Term, p: NDArray, change: NDArray) -> None:
+        """Add what changes the whole structure."""
+        assert term.whole is not None
+        made = term.whole.matrices(p, change) if self._let_go is None else self._let_go.changed(term, p, change)
+        here = np.ix_(self._moved, self._moved)
+        blocks[0][here] += made[0]
+        blocks[2][here] += made[1]
 
     @cached_property
     def _nominal_mass(self) -> NDArray:
@@ -170,12 +208,6 @@ class ExtendedStructure(Structure):
         more = np.outer(root, root) - 1.0
         for block, loss in ((blocks[1], base.C), (blocks[3], base.D)):
             block[np.ix_(index, index)] += loads @ (more * (shape[:n].T @ loss @ shape[:n])) @ loads.T
-
-    def _extra_mode(self, blocks: list[NDArray], p: NDArray) -> list[NDArray]:
-        w = 2 * np.pi * p[0]
-        zero = np.zeros((blocks[0].shape[0], 1))
-        values = (1.0, 2 * p[1] * w, w**2, 0.0)
-        return [np.block([[b, zero], [zero.T, np.array([[v]])]]) for b, v in zip(blocks, values, strict=True)]
 
     def _internal(self) -> list[tuple[Added, int]]:
         """Each mechanism with the number of coordinates that it appends."""
@@ -223,21 +255,15 @@ class ExtendedStructure(Structure):
 
     def base_load(self, theta: NDArray) -> NDArray:
         """Mass by which base motion loads each coordinate, what the supports' own coordinates carry included."""
-        out = np.array(self.matrices(theta).M @ self.rigid(theta))
-        n = len(self._held_load)
-        out[:n] += self._held_load
-        at = n
-        for added, count in self._internal():
-            for g in added.term.groups:
-                if g.load is not None:
-                    out[at : at + len(g.load)] += g.load
-            at += count
-        return out
+        return self.matrices(theta).M @ self.rigid(theta) + self.held_load(theta)
 
-    @cached_property
-    def _held_load(self) -> NDArray[np.float64]:
-        held = held_motions(self.inner)
-        return sum((h.free_load for h in held.values()), np.zeros(len(self.inner.matrices(self.inner.nominal).M)))
+    def held_load(self, theta: NDArray) -> NDArray:
+        """The inner structure's, and that of the supports that were let go."""
+        own, _ = self._split(np.asarray(theta))
+        load = (self.inner if self._let_go is None else self._let_go).held_load(own)
+        out = np.zeros(self._size, np.result_type(load, float))
+        out[self._moved] = load
+        return out
 
     def chain(self, channel: Channel, frequency: NDArray, theta: NDArray) -> NDArray[np.complex128]:
         """Product of the channel faults on this channel, and of what is common to all."""
@@ -277,49 +303,33 @@ def _factor(added: Added, channel: Channel, frequency: NDArray, p: NDArray) -> N
     return -one if added.term.variant == "inverted" else one
 
 
+def _extra_mode(blocks: list[NDArray], p: NDArray, at: int) -> int:
+    """Fill an added mode's coordinate `at`; the number of the next."""
+    w = 2 * np.pi * p[0]
+    for block, value in zip(blocks, (1.0, 2 * p[1] * w, w**2, 0.0), strict=True):
+        block[at, at] = value
+    return at + 1
+
+
 def _attach(
-    blocks: list[NDArray], local: Sequence[NDArray], columns: NDArray, n_internal: int, *, joint: bool = False
-) -> list[NDArray]:
-    """Add a law's local matrices at each of its columns, with its own internal coordinates a column, or at all."""
-    if joint:
-        n, k = blocks[0].shape[0], columns.shape[1]
-        spread = np.zeros((n + n_internal, k + n_internal))
-        spread[: columns.shape[0], :k] = columns
-        spread[n:, k:] = np.eye(n_internal)
-        return [np.pad(b, (0, n_internal)) + spread @ m @ spread.T for b, m in zip(blocks, local, strict=True)]
-    for k in range(columns.shape[1]):
-        n = blocks[0].shape[0]
-        spread = np.zeros((n + n_internal, 1 + n_internal))
-        spread[: columns.shape[0], 0] = columns[:, k]
-        spread[n:, 1:] = np.eye(n_internal)
-        blocks = [np.pad(b, (0, n_internal)) + spread @ m @ spread.T for b, m in zip(blocks, local, strict=True)]
-    return blocks
+    blocks: list[NDArray], local: Sequence[NDArray], columns: NDArray, n_internal: int, at: int, *, joint: bool = False
+) -> int:
+    """Add a law's local matrices at each of its columns, with its own internal coordinates a column, or at all.
+
+    Internal coordinates begin with `at`; the number of the next is returned.
+    """
+    for part in [columns] if joint else [columns[:, k : k + 1] for k in range(columns.shape[1])]:
+        spread = np.pad(part, ((0, 0), (0, n_internal)))
+        spread[range(at, at + n_internal), range(part.shape[1], spread.shape[1])] = 1.0
+        touched = np.flatnonzero(spread.any(axis=1))
+        spread = spread[touched]
+        for block, m in zip(blocks, local, strict=True):
+            block[np.ix_(touched, touched)] += spread @ m @ spread.T
+        at += n_internal
+    return at
 
 
 # -------------------------------------------------------------------- from a model file
-
-
-def site_of(
-    structure: Structure, channels: Sequence[Channel] = (), n_outputs: int = 0, drive: Sequence[str] = ()
-) -> Site:
-    """The site of a structure with every elastic mode in its band and all places open."""
-    from scipy.linalg import eigh
-
-    theta = structure.nominal
-    m = structure.matrices(theta)
-    mass, stiffness = np.real(m.M), np.real(m.K)
-    value, shape = eigh(stiffness, mass)
-    elastic = value > 1e-10 * value.max()
-    dofs = {d: np.real(structure.participation(d, theta)) for d in structure.dofs}
-    nodes = tuple(dict.fromkeys(d.split(":")[0] for d in structure.dofs))
-    rigid = np.real(structure.rigid(theta)) if structure.base else None
-    site = Site(
-        mass, stiffness, dofs, dict(structure.nodes), nodes, structure.elements, structure.supports, tuple(channels),
-        n_outputs, np.sqrt(value[elastic]), shape[:, elastic], rigid, tuple(drive),
-        tuple(np.real(d.K) for d in structure.derivatives(theta)), held_motions(structure),
-    )  # fmt: skip
-    mesh = structure.elements or touching(site)
-    return replace(site, elements=mesh, mesh=mesh)
 
 
 def extend(

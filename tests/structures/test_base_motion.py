@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labnnum.diagnosis.engine import Engine
+from labnnum.mechanisms import extend
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel
 from labnnum.response import frf, frf_sensitivity
@@ -116,3 +117,26 @@ def test_a_sensor_at_the_clamp_moves_with_the_base_in_time_too(made):
     steps = seen.shape[1]
     np.testing.assert_allclose(seen[:2], np.vstack([shaken, -shaken])[:, :steps], atol=1e-9)
     assert np.abs(seen[3] - shaken[0, :steps]).max() > 0.01
+
+
+def nothing(structure):
+    """The structure with a mass of zero at node 4."""
+    place = {"kind": "node", "id": "4"}
+    return extend(structure, [{"id": "added-mass", "place": place, "parameters": {"mass": 0.0}}])
+
+
+def test_a_mass_of_nothing_changes_nothing_wherever_the_parameters_are():
+    """The load of what the supports hold follows the parameters in an extended model, one by one and in a batch."""
+    s, at = varied(), np.linspace(5.0, 700.0, 40)
+    tip = [Channel("a5", "acceleration", "response", "5", "z")]
+    wide, theta = nothing(s), np.array([0.07, 1.185 * RHO_A, 1.5e-5])
+    bare = frf(s, theta, at, tip, [BASE])
+    np.testing.assert_allclose(frf(wide, np.append(theta, 0.0), at, tip, [BASE]), bare, rtol=1e-9)
+    np.testing.assert_allclose(wide.held_load(np.append(theta, 0.0)), s.held_load(theta), atol=1e-15)
+    batch = FrfBatch.of(wide, at, tip, [BASE])
+    np.testing.assert_allclose(batch.frf(np.append(theta, 0.0)[None])[0], bare, rtol=1e-6)
+    _, slopes = frf_sensitivity(wide, np.append(theta, 0.01), at, tip, [BASE])
+    for j, step in enumerate((1e-6, 1e-5, 1e-10, 1e-6)):
+        ends = [frf(wide, np.append(theta, 0.01) + way * step * np.eye(4)[j], at, tip, [BASE]) for way in (1, -1)]
+        moved = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(slopes[j], moved, rtol=1e-5, atol=1e-5 * np.abs(moved).max())

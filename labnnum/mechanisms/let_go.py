@@ -1,0 +1,159 @@
+"""Supports that were let go, and how all else in a model moves with them.
+
+The motions u of the structure are y + R q: q, what the supports held, carries the static shapes R along. Whatever acts
+on u therefore acts on y and q alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labnnum.mechanisms.base import Place, Site, Term
+from labnnum.mechanisms.changes import Change
+from labnnum.mechanisms.geometry import AXES, rigid_transfer
+from labnnum.mechanisms.laws import Release
+from labnnum.mechanisms.site import site_of
+from labnnum.structures.base import Matrices, Structure
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LetGo:
+    """The structure `inner` over y (n,) and the motions q (d,) of the supports that were let go."""
+
+    inner: Structure
+    free: Structure
+    """The inner structure without these supports; its coordinates are u and all that they held."""
+
+    held: tuple[tuple[str, str], ...]
+    """Support and axis of each q."""
+
+    spread: NDArray[np.float64]
+    """T, (n_free, n + d): motions of the free structure from y and q."""
+
+    _changes: dict[int, tuple[Term, Change | None]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, inner: Structure, terms: Sequence[Term]) -> LetGo | None:
+        """What `terms` let go of the structure; None where all supports hold."""
+        gone = [(t, g) for t in terms for g in t.groups if isinstance(g.law, Release) and g.carried is not None]
+        if not gone:
+            return None
+        free = inner
+        for support in dict.fromkeys(t.place.id for t, _ in gone):
+            free = free.released(support) or free
+        held = tuple((t.place.id, axis) for t, _ in gone for axis in t.variant.split(" and "))
+        nominal = inner.nominal
+        supports = {s for s, _ in held}
+        extra = [d for d in free.dofs if d.partition(":")[0] in supports and d not in inner.dofs]
+        at = {d: int(np.argmax(np.abs(np.real(free.participation(d, nominal))))) for d in extra}
+        size = len(free.matrices(nominal).M)
+        rest = np.setdiff1d(np.arange(size), list(at.values()))
+        static = np.hstack([g.carried for _, g in gone if g.carried is not None])
+        spread = np.zeros((size, rest.size + len(held)))
+        spread[rest, np.arange(rest.size)] = 1.0
+        spread[rest, rest.size :] = static
+        for i, (support, axis) in enumerate(held):
+            spread[at[f"{support}:{axis}"], rest.size + i] = 1.0
+        return cls(inner, free, held, spread)
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates of the inner structure."""
+        return self.spread.shape[1] - len(self.held)
+
+    @cached_property
+    def _static(self) -> NDArray[np.float64]:
+        return self.spread[np.any(self.spread[:, : self.n] != 0, axis=1), self.n :]
+
+    def _taken(self, matrix: NDArray) -> NDArray:
+        return self.spread.T @ matrix @ self.spread
+
+    @cached_property
+    def _nominal(self) -> tuple[NDArray, NDArray]:
+        """Stiffness of the free structure, and the same over y and q: nothing ties them, as R is static."""
+        free = np.real(self.free.matrices(self.inner.nominal).K)
+        whole, n = self._taken(free), self.n
+        whole[:n, n:] = whole[n:, :n] = 0.0
+        size = np.sqrt(np.abs([free[i, i] for i in self._rows]))
+        own = whole[n:, n:]
+        own[np.abs(own) < 1e-7 * np.outer(size, size)] = 0.0  # free of others, a support moves the whole as a body
+        return free, whole
+
+    @cached_property
+    def _rows(self) -> NDArray[np.intp]:
+        """Coordinate of each q in the free structure."""
+        moved = np.where(np.any(self.spread[:, : self.n] != 0, axis=1)[:, None], 0.0, self.spread[:, self.n :])
+        return np.argmax(moved, axis=0)
+
+    def matrices(self, theta: NDArray) -> tuple[NDArray, NDArray]:
+        """M and K over y and q, (n + d, n + d), without the springs that the supports became."""
+        made: Matrices = self.free.matrices(theta)
+        free, nominal = self._nominal
+        return self._taken(made.M), nominal + self._taken(made.K - free)
+
+    def held_load(self, theta: NDArray) -> NDArray:
+        """Mass, (n + d,), by which base motion of all that supports hold or held loads y and q."""
+        moved = np.array(self.free.rigid(theta))
+        moved[np.any(self.spread[:, : self.n] != 0, axis=1)] = 0.0
+        return self.spread.T @ (self.free.matrices(theta).M @ moved + self.free.held_load(theta))
+
+    def lifted(self, place: Place, columns: NDArray) -> NDArray[np.float64]:
+        """Columns over y and q, (n + d, k), of those over u, (n, k), of something that acts at `place`."""
+        if place.kind in ("global", "system"):  # what acts on the strain of all: R is static, and has no part in it
+            return np.vstack([columns, np.zeros((len(self.held), columns.shape[1]))])
+        return np.vstack([columns, self._static.T @ columns + self._at_support(place, columns)])
+
+    def _at_support(self, place: Place, columns: NDArray) -> NDArray[np.float64]:
+        """What columns (n, k) between a node and a support have at the support's own motions, (d, k).
+
+        A column of one motion is the difference of the two nodes along it; any other is of strain, which a motion as a
+        body does not give.
+        """
+        out = np.zeros((len(self.held), columns.shape[1]))
+        for i, (support, axis) in enumerate(self.held):
+            if place.to is None or support not in (place.id, place.to):
+                continue
+            other = place.id if support == place.to else place.to
+            rows = self._numbers(other)
+            xyz = [np.array(self.inner.nodes.get(node, (0.0, 0.0, 0.0)), float) for node in (support, other)]
+            body = rigid_transfer(xyz[0], xyz[1], list(rows), [axis])[:, 0]
+            for k, column in enumerate(columns.T):
+                at = column[list(rows.values())]
+                alone = np.count_nonzero(column) == 1
+                out[i, k] = -sum(at[j] for j, a in enumerate(rows) if a == axis) if alone else -float(at @ body)
+        return out
+
+    def _numbers(self, node: str) -> dict[str, int]:
+        """Direction -> coordinate of the inner structure, of a node's single coordinates."""
+        out = {}
+        for dof in self.inner.dofs:
+            name, _, axis = dof.partition(":")
+            row = np.real(self.inner.participation(dof, self.inner.nominal)) if name == node and axis in AXES else None
+            if row is not None and np.count_nonzero(row) == 1 and row.max() == 1:
+                out[axis] = int(np.argmax(row))
+        return out
+
+    def changed(self, term: Term, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
+        """M and K over y and q that a change of the whole structure adds, in its form on the free one if it has one."""
+        if id(term) not in self._changes:
+            alike = (t for t in term.mechanism.terms(self._site) if t.place == term.place and t.variant == term.variant)
+            self._changes[id(term)] = (term, next((t.whole for t in alike), None))
+        _, whole = self._changes[id(term)]
+        if whole is not None:
+            mass, stiffness = whole.matrices(p, change)
+            return self._taken(mass), self._taken(stiffness)
+        assert term.whole is not None
+        mass, stiffness = term.whole.matrices(p, change)
+        lift = np.hstack([np.eye(self.n), self._static])
+        return lift.T @ mass @ lift, np.pad(stiffness, (0, len(self.held)))
+
+    @cached_property
+    def _site(self) -> Site:
+        return site_of(self.free, held=False)
