@@ -12,8 +12,10 @@ than this is refused.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,12 +27,14 @@ from numpy.typing import NDArray
 from labnnum import __version__
 from labnnum.bands import Band
 from labnnum.errors import FileError
+from labnnum.frf import Frf
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
 from labnnum.updating.fingerprint import fingerprint, require_same
 from labnnum.updating.kinds import make_features
 from labnnum.updating.network import RbfNetwork
 from labnnum.updating.novelty import Novelty
+from labnnum.updating.seen import view_settings
 from labnnum.updating.training import TrainingSet
 from labnnum.updating.updater import Updater
 from sessions import HDF5_SUFFIXES
@@ -232,6 +236,37 @@ def load_training(path: Path, key: NDArray[np.float64]) -> TrainingSet | None:
         raise FileError(f"{path}: the unfinished training set cannot be read ({error}); delete it") from error
 
 
-def training_key(structure: Structure, numbers: Sequence[float], frequency: NDArray) -> NDArray[np.float64]:
-    """What must agree for an unfinished training set to be continued."""
-    return np.concatenate([fingerprint(structure), np.asarray(numbers, float), frequency])
+def training_key(
+    structure: Structure, bands: Sequence[Band], outputs: Sequence[Channel], inputs: Sequence[Channel],
+    frequency: NDArray, like: Frf | None = None, options: Mapping[str, Any] | None = None,
+) -> NDArray[np.float64]:  # fmt: skip
+    """What must agree for an unfinished training set to be continued: all that decides its features, and the version.
+
+    Parameters
+    ----------
+    structure : Structure
+    bands : sequence of Band
+        Their weights count.
+    outputs, inputs : sequence of Channel
+    frequency : ndarray, shape (n_f,)
+        Hz.
+    like : Frf, optional
+        The measurement whose window and random error the training takes.
+    options : mapping, optional
+        What else `Updater.train` is told: samples, seed, noise, features, network, ...
+    """
+    about = {
+        "version": __version__,
+        "places": [structure.base, *structure.dofs],
+        "bands": [asdict(b) for b in bands],
+        "outputs": [asdict(c) for c in outputs],
+        "inputs": [asdict(c) for c in inputs],
+        "view": None if like is None else view_settings(like),
+        "options": dict(options or {}),
+    }
+    digest = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode())
+    if like is not None and like.variance is not None:
+        for array in (like.value, like.variance):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    words = np.frombuffer(digest.digest(), np.uint32).astype(float)
+    return np.concatenate([fingerprint(structure), np.asarray(frequency, float), words])

@@ -1,18 +1,24 @@
 """labnnum train and labnnum update, as typed."""
 
+import functools
+import itertools
 import json
 import sys
+import time
+from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 
 from labnnum.response import frf
-from sessions import cli
+from sessions import cli, updaters
 from sessions.estimates import latest_estimate
 from sessions.model import read_model
 from sessions.report.content import gather
 from sessions.report.page import verdict
 from sessions.store import create_session, open_session
+from sessions.updaters import load_updater
 
 from .test_updaters import IN, LINES, MODEL, OUT
 
@@ -104,6 +110,70 @@ def test_train_without_a_measurement(type_in, bench, tmp_path):
     )
     assert "plain.h5" in shown.out
     assert not list(tmp_path.glob("*.training"))
+
+
+PLAIN = "train model.toml --response 2:x --drive 1:x --step 0.1 --samples 320"
+
+
+@pytest.fixture
+def interrupted(type_in, bench, monkeypatch, tmp_path):
+    """A training that was interrupted once some of its samples were stored; the content of what it left."""
+    clock = itertools.count(0.0, 20.0)
+
+    def begin(line):
+        with monkeypatch.context() as patch:
+            patch.setattr(time, "monotonic", lambda: next(clock))
+            patch.setattr(updaters, "save_training", functools.partial(kept, updaters.save_training))
+            type_in(line, status=130)
+        (left,) = tmp_path.glob("*.training")
+        with h5py.File(left) as file:
+            assert 0 < file.attrs["done"] < 320
+
+    def kept(save, *given):
+        save(*given)
+        raise KeyboardInterrupt
+
+    return begin
+
+
+def test_an_interrupted_training_goes_on_to_the_same_updater(type_in, interrupted):
+    interrupted(f"{PLAIN} -o u.h5")
+    type_in(f"{PLAIN} -o u.h5")
+    type_in(f"{PLAIN} -o whole.h5")
+    assert np.array_equal(load_updater("u.h5").network.weights, load_updater("whole.h5").network.weights)
+
+
+@pytest.mark.parametrize(
+    ("change", "to"),
+    [("--response 2:x", "--response 1:x"), ("--drive 1:x", "--drive 2:x"), ("-o u.h5", "--features sphere -o u.h5")],
+)
+def test_a_training_begun_for_something_else_is_not_continued(type_in, interrupted, change, to):
+    interrupted(f"{PLAIN} -o u.h5")
+    other = f"{PLAIN} -o u.h5".replace(change, to)
+    type_in(other)
+    type_in(other.replace("u.h5", "whole.h5"))
+    assert np.array_equal(load_updater("u.h5").network.weights, load_updater("whole.h5").network.weights)
+
+
+def test_a_training_begun_with_other_weights_of_the_bands_is_not_continued(type_in, interrupted, tmp_path):
+    interrupted(f"{PLAIN} -o u.h5")
+    (tmp_path / "model.toml").write_text(MODEL.replace("high = 8.0\n", "high = 8.0\nimag = 0.0\n"))
+    type_in(f"{PLAIN} -o u.h5")
+    type_in(f"{PLAIN} -o whole.h5")
+    assert np.array_equal(load_updater("u.h5").network.weights, load_updater("whole.h5").network.weights)
+
+
+def test_a_training_begun_with_another_random_error_is_not_continued(type_in, bench, interrupted, tmp_path):
+    interrupted("train model.toml --frf run.h5 --samples 320 -o u.h5")
+    with open_session(tmp_path / "run.h5") as session:
+        before = session.frfs()[-1]
+    noisier = replace(before, variance=4 * np.asarray(before.variance))
+    (tmp_path / "run.h5").unlink()
+    with create_session(tmp_path / "run.h5") as session:
+        session.add_frf(noisier)
+    for name in ("u.h5", "whole.h5"):
+        type_in(f"train model.toml --frf run.h5 --samples 320 -o {name}")
+    assert np.array_equal(load_updater("u.h5").network.weights, load_updater("whole.h5").network.weights)
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,8 @@ def train(
     basis function network learns the way back. That takes seconds to minutes, once; an estimate afterwards takes
     microseconds, and `labnnum update` refines it by least squares.
 
-    An interrupted training goes on where it stopped when the same command is given again.
+    An interrupted training goes on where it stopped when the same command is given again; with another measurement,
+    channels, bands or options it begins anew.
 
     For example:
 
@@ -162,8 +163,9 @@ def _trained(read: Model, outputs, inputs, lines, like: Frf | None, output: Path
     from sessions.updaters import load_training, save_training, training_key
     from sessions.workers import executor
 
-    numbers = [options["samples"], options["seed"], options["noise"], float(len(options["features"]))]
-    key = training_key(read.structure, numbers, lines)
+    workers, scheduler = options.pop("workers"), options.pop("scheduler")
+    decisive = {k: v for k, v in options.items() if k != "centres"}
+    key = training_key(read.structure, read.bands, outputs, inputs, lines, like, decisive)
     kept = output.with_name(f"{output.name}.training")
     written = time.monotonic()
 
@@ -174,7 +176,6 @@ def _trained(read: Model, outputs, inputs, lines, like: Frf | None, output: Path
             written = time.monotonic()
 
     resume = load_training(kept, key)
-    workers, scheduler = options.pop("workers"), options.pop("scheduler")
     console = Console(stderr=True)
     quiet = not console.is_terminal
     with Progress(console=console, transient=True, disable=quiet) as bar, executor(workers, scheduler) as pool:
