@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, count, pairwise
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.eigen import moves_freely, natural_modes
 from labnnum.errors import ConfigError, ModelError
 from labnnum.mechanisms.attached import in_structure
 from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Term
 from labnnum.mechanisms.laws import Release
 from labnnum.mechanisms.let_go import LetGo
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+from labnnum.mechanisms.recording_filter import SECTIONS, RecordingFilter
 from labnnum.mechanisms.site import site_of
 from labnnum.nonlinear import Element
 from labnnum.parameters import Parameter
@@ -137,19 +139,17 @@ class ExtendedStructure(Structure):
     @cached_property
     def _nominal_modes(self) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """Frequencies, shapes, M times these, and the coordinates that they are over: of what `trim` shifts."""
-        from scipy.linalg import eigh
-
         own = [a for a in self.added if a.term.whole is not None or a.term.fitted is not a.term]
         core = replace(self, added=tuple(own), trim=(), laws=(), common=(), losses=())
         m = core.matrices(core.nominal)
-        value, shape = eigh(np.real(m.K), np.real(m.M))
+        value, shape = natural_modes(np.real(m.M), np.real(m.K))
         index = list(range(len(self.inner.matrices(self.inner.nominal).M)))
         at = len(index)
         for added, n in self._internal():
             if added in own:
                 index += range(at, at + n)
             at += n
-        return np.sqrt(np.maximum(value, 0)), shape, np.real(m.M) @ shape, np.array(index)
+        return np.sqrt(value), shape, np.real(m.M) @ shape, np.array(index)
 
     def matrices(self, theta: NDArray) -> Matrices:
         """The inner matrices with every mechanism's share, internal coordinates appended."""
@@ -198,13 +198,14 @@ class ExtendedStructure(Structure):
 
     def _trimmed(self, blocks: list[NDArray]) -> None:
         omega, _, loads, index = self._nominal_modes
-        n = len(self.trim)
-        change = omega[:n] ** 2 * ((1 + np.array(self.trim)) ** 2 - 1)
+        n = min(len(self.trim), len(omega))
+        change = omega[:n] ** 2 * ((1 + np.array(self.trim[:n])) ** 2 - 1)
         blocks[2][np.ix_(index, index)] += (loads[:, :n] * change) @ loads[:, :n].T
 
     def _damped(self, blocks: list[NDArray], base: Matrices) -> None:
         _, shape, loads, index = self._nominal_modes
-        n, root = len(base.M), np.sqrt(np.pad(self.losses, (0, shape.shape[1] - len(self.losses)), constant_values=1.0))
+        told = self.losses[: shape.shape[1]]
+        n, root = len(base.M), np.sqrt(np.pad(told, (0, shape.shape[1] - len(told)), constant_values=1.0))
         more = np.outer(root, root) - 1.0
         for block, loss in ((blocks[1], base.C), (blocks[3], base.D)):
             block[np.ix_(index, index)] += loads @ (more * (shape[:n].T @ loss @ shape[:n])) @ loads.T
@@ -369,7 +370,23 @@ def extend(
         shared = isinstance(mechanism, ChannelMechanism) and mechanism.common
         where = laws if isinstance(mechanism, NonlinearMechanism) else common if shared else added
         where.append(_added(structure, mechanism, entry))
-    return ExtendedStructure(structure, tuple(added), trim, laws=tuple(laws), common=tuple(common), losses=losses)
+    named = _apart(structure, added)
+    return ExtendedStructure(structure, named, trim, laws=tuple(laws), common=tuple(common), losses=losses)
+
+
+def _apart(structure: Structure, added: Sequence[Added]) -> tuple[Added, ...]:
+    """The mechanisms with a name of its own for each parameter: the variant or the id follows one that is taken."""
+    taken, out = dict.fromkeys((p.name for p in structure.parameters), ""), []
+    for a in added:
+        name, variant, parameters = a.term.mechanism.id, a.term.variant, []
+        for p in a.parameters:
+            more = [f":{variant}" if variant and taken.get(p.name) == name else f":{name}", f":{name}:{variant}"]
+            ends = chain(("",), more, (f":{i}" for i in count(2)))
+            free = next(full for end in ends if (full := p.name + end) not in taken)
+            taken[free] = name
+            parameters.append(replace(p, name=free))
+        out.append(replace(a, parameters=tuple(parameters)))
+    return tuple(out)
 
 
 def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any]) -> Added:
@@ -379,6 +396,11 @@ def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any])
     values = {k: (v if isinstance(v, Mapping) else {"value": v}) for k, v in told.items()}
     variant = str(entry.get("variant", ""))
     term = _find(structure, mechanism, place, variant, entry, values)
+    known = [p.name for p in term.parameters]
+    odd = next((k for k in values if k not in known), None)
+    if odd is not None:
+        has = f"it has {', '.join(known)}" if known else "it has none"
+        raise ConfigError(f"mechanism {mechanism.id!r} at {place}: there is no parameter {odd!r}; {has}")
     parameters = []
     for p in term.parameters:
         if p.name not in values:
@@ -399,35 +421,64 @@ def _added(structure: Structure, mechanism: Mechanism, entry: Mapping[str, Any])
 def _find(
     structure: Structure, mechanism: Mechanism, place: Place, variant: str, entry: Mapping[str, Any], values: Mapping
 ) -> Term:
-    if mechanism.domain == "channel":
-        parameters = tuple(
-            Parameter(k, float(v["value"]), -np.inf, np.inf, str(v.get("unit", "1"))) for k, v in values.items()
-        )
-        return Term(mechanism, place, parameters, np.zeros((0, len(parameters))), variant=variant)
-    if mechanism.id == "out-of-plane-mode":
-        parameters = tuple(
-            Parameter(k, float(v["value"]), -np.inf, np.inf, str(v.get("unit", "1"))) for k, v in values.items()
-        )
-        data = {"extra_mode": True, "dofs": tuple(entry.get("dofs", ())), "driven": tuple(entry.get("driven", ()))}
-        return Term(mechanism, place, parameters, np.zeros((0, len(parameters))), data=data)
     if mechanism.id == "drift":
         raise ConfigError(
             "mechanism 'drift' changes a structure in time and cannot be part of a linear model; leave it out"
         )
-    if isinstance(mechanism, NonlinearMechanism):
-        return mechanism.at(site_of(structure), place, variant)
+    if mechanism.id == "channel-clipping":  # known from recordings; in a linear model it is nothing
+        parameters = (Parameter("rail", 0.0, -np.inf, np.inf),) if "rail" in values else ()
+        return _open(Term(mechanism, place, parameters, np.zeros((0, 0)), variant=variant), values)
+    if mechanism.id == "out-of-plane-mode":
+        return _extra_term(mechanism, place, entry, values)
+    if isinstance(mechanism, RecordingFilter):
+        return replace(_open(mechanism.term(_sections(values)), values), place=place, variant=variant)
     drive = (f"{place.id}:{variant}",) if mechanism.id == "exciter-coupling" else ()
+    channels = tuple(Channel(name, "acceleration") for name in (place.id, place.to) if name is not None)
     try:
-        site = site_of(structure, drive=drive)
+        site = site_of(structure, channels if mechanism.domain == "channel" else (), len(channels), drive)
     except ValueError as error:
         raise ModelError(f"mechanisms cannot be added: {error}") from error
-    floats = site.omega.size < len(site.mass)
+    if isinstance(mechanism, NonlinearMechanism):
+        return mechanism.at(site, place, variant)
+    floats = moves_freely(site.stiffness)
     terms = [in_structure(t, floats=floats) for t in mechanism.terms(site) if t.place == place]
     for term in terms:
         if term.variant == variant:
-            return term
+            return _open(term, values) if mechanism.domain == "channel" else term
     if not terms:
         raise ConfigError(f"mechanism {mechanism.id!r} cannot act at {place}: the structure has no such place for it")
     raise ConfigError(
         f"mechanism {mechanism.id!r} at {place}: variant {variant!r} is none of {[t.variant for t in terms]}"
     )
+
+
+def _open(term: Term, values: Mapping) -> Term:
+    """A fault of a channel, without the bounds of a search and with the units that the file gives."""
+    parameters = tuple(
+        Parameter(p.name, p.nominal, -np.inf, np.inf, str(values.get(p.name, {}).get("unit", p.unit)))
+        for p in term.parameters
+    )
+    return Term(term.mechanism, term.place, parameters, np.zeros((0, len(parameters))), variant=term.variant)
+
+
+def _sections(values: Mapping) -> int:
+    """How many sections a filter has by the names of its parameters, one at least."""
+    return max((i for i in range(1, SECTIONS + 1) if {f"a{i}", f"b{i}"} & set(values)), default=1)
+
+
+def _extra_term(mechanism: Mechanism, place: Place, entry: Mapping[str, Any], values: Mapping) -> Term:
+    """An added mode: frequency, damping ratio, and a residue at each of `dofs`, in their order."""
+    dofs = tuple(entry.get("dofs", ()))
+    residues = [name for name in values if name not in ("frequency", "damping_ratio")]
+    if len(residues) != len(dofs) or not all(name.startswith("residue_") for name in residues):
+        raise ConfigError(
+            f"mechanism {mechanism.id!r}: its dofs are {list(dofs)} and its other parameters {residues}; expected one"
+            " residue_NAME for each of dofs, in their order, beside frequency and damping_ratio"
+        )
+    names = ["frequency", "damping_ratio", *residues]
+    units = {"frequency": "Hz"}
+    parameters = tuple(
+        Parameter(k, 0.0, -np.inf, np.inf, str(values.get(k, {}).get("unit", units.get(k, "1")))) for k in names
+    )
+    data = {"extra_mode": True, "dofs": dofs, "driven": tuple(entry.get("driven", ()))}
+    return Term(mechanism, place, parameters, np.zeros((0, len(parameters))), data=data)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labnnum.eigen import natural_modes
 from labnnum.mechanisms.base import Site
 from labnnum.mechanisms.geometry import held_motions, touching
 from labnnum.recording import Channel
@@ -19,14 +20,18 @@ def site_of(
 ) -> Site:  # fmt: skip
     """The site of a structure with every elastic mode in its band and all places open.
 
-    Without `held` what its supports hold is left out, which a structure that floats has no answer for.
-    """
-    from scipy.linalg import eigh
+    Motions without mass are no modes. Without `held` what its supports hold is left out, which a structure that floats
+    has no answer for.
 
+    Raises
+    ------
+    ModelError
+        If a coordinate has neither mass nor stiffness, or nothing has mass.
+    """
     theta = structure.nominal
     m = structure.matrices(theta)
     mass, stiffness = np.real(m.M), np.real(m.K)
-    value, shape = eigh(stiffness, mass)
+    value, shape = natural_modes(mass, stiffness)
     elastic = value > 1e-10 * value.max()
     dofs = {d: np.real(structure.participation(d, theta)) for d in structure.dofs}
     nodes = tuple(dict.fromkeys(d.split(":")[0] for d in structure.dofs))
