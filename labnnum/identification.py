@@ -14,10 +14,11 @@ P. Verboven, "Frequency-domain system identification for modal analysis", VUB, 2
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares, lsq_linear
 
 from labnnum.errors import EstimationError
 from labnnum.frf import MOTION_ORDER, Frf
@@ -25,6 +26,9 @@ from labnnum.structures.modal import ModalStructure, Mode
 
 FREQUENCY_STAYS, DAMPING_STAYS = 0.01, 0.2
 """Relative change from one order to the next up to which a pole counts as stable."""
+
+SMALLEST = 1e-6
+"""Residue at the driven place, as a share of the largest, below which a mode is nodal there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,10 @@ class Identified:
     """A modal model and how well it fits.
 
     `frequency` (n,) in Hz and `damping_ratio` (n,) of the modes in the band; `structure` holds these and the two that
-    stand for all others; `error` relative RMS over the responses; `fitted` (n_out, n_f) its FRFs.
+    stand for all others; `error` relative RMS over the responses; `fitted` (n_out, n_f) the receptances of `structure`.
+    `nodal` (n_nodal,) are the frequencies in Hz of modes that hardly move the driven place: how much they move the
+    others under a force there is known, how much under a force elsewhere is not, and their shapes have the least size
+    that the scatter at the drive allows.
     """
 
     frequency: NDArray[np.float64]
@@ -51,6 +58,7 @@ class Identified:
     error: float
     fitted: NDArray[np.complex128]
     stabilisation: Stabilisation
+    nodal: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
@@ -83,22 +91,13 @@ def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
     if not len(poles):
         raise EstimationError("no pole is stable from order to order: raise the order or narrow the band")
     poles, damping = _refined(frf.omega, h, weight, poles)
-    low, high = 0.35 * frf.omega[0], 3.0 * frf.omega[-1]
-    omega = np.concatenate([[low], 2 * np.pi * poles, [high]])
-    zeta = np.concatenate([[0.05], damping, [0.05]])
-    residue = _residues(frf.omega, h, weight, omega, zeta)
-    at = dofs.index(drive)
-    own = residue[:, at]
-    floor = 1e-6 * np.abs(own).max()
-    root = np.sqrt(np.maximum(own, floor))
-    keep = (own > 0) | (np.arange(omega.size) % (omega.size - 1) != 0)
+    omega, zeta, residue, nodal = _scaled(frf.omega, h, weight, poles, damping, dofs.index(drive))
+    shape = residue / np.sqrt(residue[:, [dofs.index(drive)]])
     built = tuple(
-        Mode(float(w / 2 / np.pi), float(z), {d: float(r / g) for d, r in zip(dofs, row, strict=True)})
-        for w, z, row, g, k in zip(omega, zeta, residue, root, keep, strict=True)
-        if k
+        Mode(float(w / 2 / np.pi), float(z), {d: float(v) for d, v in zip(dofs, row, strict=True)})
+        for w, z, row in zip(omega, zeta, shape, strict=True)
     )
-    basis = _basis(frf.omega, omega[keep], zeta[keep])
-    fitted = residue[keep].T @ basis
+    fitted = (shape * shape[:, [dofs.index(drive)]]).T @ _basis(frf.omega, omega, zeta)
     power = np.sum(np.abs(h) ** 2, axis=1)
     missed = float(np.mean(np.sum(np.abs(fitted - h) ** 2, axis=1) / power))
     noise = missed  # what a window leaks is no lack of the modes
@@ -106,7 +105,10 @@ def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
         each = np.abs(h) ** 2 * frf.variance[:, 0] / np.maximum(np.abs(frf.value[:, 0]) ** 2, 1e-300)
         noise = float(np.mean(np.sum(each, axis=1) / power))
     lack = float(np.sqrt(max(missed - noise, 0.0)))
-    return Identified(poles, damping, ModalStructure(built, error=lack), float(np.sqrt(missed)), fitted, diagram)
+    structure = ModalStructure(built, error=lack)
+    return Identified(
+        poles, damping, structure, float(np.sqrt(missed)), fitted, diagram, omega[nodal] / (2 * np.pi)
+    )  # fmt: skip
 
 
 def receptance_of(frf: Frf) -> NDArray[np.complex128]:
@@ -216,12 +218,40 @@ def _residues(omega: NDArray, h: NDArray, weight: NDArray, mode: NDArray, zeta: 
     return np.array(out).T
 
 
+def _scaled(
+    omega: NDArray, h: NDArray, weight: NDArray, poles: NDArray, damping: NDArray, at: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Frequencies in rad/s, damping ratios and residues (n, n_out) that a structure can have, and which are nodal.
+
+    Those of the driven place, row `at`, are positive. A mode beside the band that would need a negative one is left
+    out. In the band such a mode gets the residue's standard deviation there, or more where that fits better; the
+    others' residues at the drive are fitted anew.
+    """
+    low, high = 0.35 * omega[0], 3.0 * omega[-1]
+    mode = np.concatenate([[low], 2 * np.pi * poles, [high]])
+    zeta = np.concatenate([[0.05], damping, [0.05]])
+    beside = np.arange(mode.size) % (mode.size - 1) == 0
+    residue = _residues(omega, h, weight, mode, zeta)
+    keep = ~beside | (residue[:, at] > 0)
+    mode, zeta, residue, beside = mode[keep], zeta[keep], residue[keep], beside[keep]
+    own = residue[:, at]
+    least = np.full(own.size, SMALLEST * np.abs(own).max())
+    nodal = own < least
+    if nodal.any():
+        basis = _basis(omega, mode, zeta) * weight[at]
+        a = np.concatenate([basis.real, basis.imag], axis=1).T
+        b = np.concatenate([(h[at] * weight[at]).real, (h[at] * weight[at]).imag])
+        scatter = np.linalg.norm(np.linalg.pinv(a), axis=1) * np.sqrt(np.mean((a @ own - b) ** 2))
+        least[nodal] = np.clip(scatter[nodal], least[nodal], np.abs(own).max())
+        scale = np.linalg.norm(a, axis=0)
+        residue[:, at] = lsq_linear(a / scale, b, (least * scale, np.inf)).x / scale
+    return mode, zeta, residue, nodal & ~beside
+
+
 def _refined(
     omega: NDArray, h: NDArray, weight: NDArray, poles: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Frequencies and damping ratios that fit best when the residues follow (variable projection)."""
-    from scipy.optimize import least_squares
-
     n = len(poles)
     low, high = 0.35 * omega[0], 3.0 * omega[-1]
 

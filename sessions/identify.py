@@ -60,6 +60,7 @@ def identify_files(
         ],
         "error": found.error,
         "beyond_noise": found.structure.error,
+        "nodal_at_drive": found.nodal.tolist(),
         "clipped": sorted(o.clipped),
         "stable_poles": int(found.stabilisation.stable.sum()),
     }

@@ -13,6 +13,7 @@ from labnnum.recording import Channel
 from labnnum.response import frf as model_frf
 from labnnum.structures import Chain
 from labnnum.structures.chain import Link
+from labnnum.structures.modal import ModalStructure, Mode
 from labnnum.structures.quantities import Damping
 from sessions.cli import app
 from sessions.model import read_model
@@ -69,6 +70,39 @@ def test_noise_of_two_percent_leaves_the_frequencies():
         np.testing.assert_allclose(found.damping_ratio, damping, rtol=0.05)
 
 
+def measured_beside(at_force, at_sensor, noise=0.01, seed=1):
+    """FRFs of three modes of which the second moves the driven place hardly, and the sensor there by something else."""
+    shapes = ((1.0, 1.0, 0.8, 0.6), (at_force, at_sensor, 1.0, -0.9), (0.7, 0.7, -0.9, 0.5))
+    named = [dict(zip(("0:x", "1:x", "2:x", "3:x"), row, strict=True)) for row in shapes]
+    structure = ModalStructure(tuple(map(Mode, (3.0, 6.0, 9.0), (0.01, 0.012, 0.015), named)))
+    value = model_frf(structure, [], LINES, OUTPUTS, (Channel("f", "force", "reference", "0", "x"),))
+    normal = np.random.default_rng(seed).standard_normal((2, *value.shape)) / np.sqrt(2)
+    scatter = noise * np.abs(value)
+    return Frf(LINES, value + scatter * (normal[0] + 1j * normal[1]), OUTPUTS, FORCE, variance=scatter**2 + 1e-18)
+
+
+@pytest.mark.parametrize(("at_force", "at_sensor"), [(0.05, -0.02), (0.1, -0.1), (0.1, 0.0), (0.05, 0.05)])
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.03])
+def test_what_is_said_to_be_missed_is_what_the_structure_misses(at_force, at_sensor, noise):
+    frf = measured_beside(at_force, at_sensor, noise)
+    found = identify(frf, 24)
+    made = Frf(LINES, model_frf(found.structure, [], LINES, OUTPUTS, FORCE), OUTPUTS, FORCE)
+    h, answered = receptance_of(frf), receptance_of(made)
+    missed = np.sum(np.abs(answered - h) ** 2, axis=1) / np.sum(np.abs(h) ** 2, axis=1)
+    assert found.error == pytest.approx(np.sqrt(missed.mean()), rel=1e-6, abs=1e-9)
+    np.testing.assert_allclose(found.fitted, answered, rtol=1e-6, atol=1e-9 * np.abs(h).max())
+    assert found.error < 1.1 * noise + 0.003
+
+
+def test_a_mode_nearly_nodal_at_the_drive_is_told_and_no_larger_than_the_scatter_allows():
+    assert identify(measured_beside(0.3, 0.3), 24).nodal.size == 0
+    found = identify(measured_beside(0.05, -0.02), 24)
+    assert found.nodal == pytest.approx([6.0], rel=1e-3)
+    (mode,) = (m for m in found.structure.modes if abs(m.frequency - 6) < 0.1)
+    assert mode.shape["1:x"] * mode.shape["2:x"] == pytest.approx(0.05, rel=0.05)
+    assert abs(mode.shape["2:x"]) < 10
+
+
 def test_lscf_of_a_low_order_comes_near_the_poles():
     value = receptance_of(measured())
     poles = np.array(lscf(2 * np.pi * LINES, value, 12))
@@ -83,8 +117,8 @@ def test_a_drive_point_is_asked_for():
         identify(other)
 
 
-def test_the_command_writes_a_model(tmp_path):
-    frf = measured()
+def typed(tmp_path, frf):
+    """What the command prints, as text and as JSON, of FRFs in a file; and the model that it writes."""
     arrays = {"f": LINES, "H": frf.value[:, 0]}
     np.savez(tmp_path / "h.npz", **arrays)
     channels = ["[frf]", 'frequency = "f"', 'value = "H"']
@@ -94,10 +128,21 @@ def test_the_command_writes_a_model(tmp_path):
         channels += [f'role = "{role}"', f'node = "{c.node}"', 'direction = "x"']
     (tmp_path / "channels.toml").write_text("\n".join(channels))
     out = tmp_path / "base.toml"
-    given = [str(tmp_path / "h.npz"), "--channels", str(tmp_path / "channels.toml"), "-o", str(out), "--json"]
-    result = CliRunner().invoke(app, ["identify", *given])
-    assert result.exit_code == 0, result.output
-    said = json.loads(result.stdout)
+    given = [str(tmp_path / "h.npz"), "--channels", str(tmp_path / "channels.toml"), "-o", str(out)]
+    shown = [CliRunner().invoke(app, ["identify", *given, *more]) for more in ([], ["--json"])]
+    assert [r.exit_code for r in shown] == [0, 0], shown[0].output
+    return shown[0].output, json.loads(shown[1].stdout), out
+
+
+def test_the_command_tells_which_modes_are_nodal_at_the_drive(tmp_path):
+    shown, said, _ = typed(tmp_path, measured_beside(0.05, -0.02))
+    assert said["nodal_at_drive"] == pytest.approx([6.0], rel=1e-3)
+    assert "the mode at 6 Hz hardly moves the driven place" in " ".join(shown.split())
+
+
+def test_the_command_writes_a_model(tmp_path):
+    _, said, out = typed(tmp_path, measured())
+    assert said["nodal_at_drive"] == []
     np.testing.assert_allclose([m["frequency"] for m in said["modes"]], exact()[0], rtol=1e-3)
     model = read_model(out)
     assert set(model.structure.dofs) == {"1:x", "2:x", "3:x"}

@@ -43,5 +43,7 @@ def identify(
     typer.echo(f"{said['model']}: {len(said['modes'])} modes of {said['recording']}, {error}")
     if said["clipped"]:
         note(f"{said['recording']}: {', '.join(said['clipped'])} clips; modes from it are not to be trusted")
+    for f in said["nodal_at_drive"]:
+        note(f"the mode at {f:.4g} Hz hardly moves the driven place: the size of its shape elsewhere is uncertain")
     for m in said["modes"]:
         typer.echo(f"{m['frequency']:12.4f} Hz {100 * m['damping_ratio']:8.3f} %")
