@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.explore import engine_start
 from labnnum.diagnosis.nonlinear.laws import SHAPES, force_along
 from labnnum.diagnosis.nonlinear.locate import spots
-from labnnum.diagnosis.nonlinear.matched import matched
+from labnnum.diagnosis.nonlinear.matched import matched, within
 from labnnum.diagnosis.nonlinear.overloaded import overloaded
 from labnnum.diagnosis.nonlinear.problem import reduced
 from labnnum.diagnosis.places import places_of
@@ -38,12 +38,15 @@ def hardening():
 def test_periodic_runs_are_compared_in_the_models_band(hardening):
     """And one that has no line there is left out."""
     engine = Engine(chain(), OUTPUTS, (FORCE,), (2 * np.pi, 2 * np.pi * 12))
-    parts = parts_of(engine, hardening, (), hardening, (2.0, 8.0))
-    for o in parts.train:
+    found = diagnose(chain(), hardening, span=(2.0, 8.0)).detail["nonlinear"]
+    assert found.named
+    for run in found.study.runs:
+        o = SimpleNamespace(run=run)
         f = o.run.frequency[o.run.compared]
         assert 2.0 <= f.min() < 2.5
         assert 7.5 < f.max() <= 8.0
-    assert parts_of(engine, hardening, (), hardening, (30.0, 40.0)) is None
+    above = [within(o, (30.0, 40.0)) for o in hardening]
+    assert parts_of(engine, above, (), above, (30.0, 40.0)) is None
 
 
 def test_levels_of_which_one_was_driven_less_far_show_their_change(hardening):

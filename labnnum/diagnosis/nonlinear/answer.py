@@ -32,6 +32,7 @@ from labnnum.diagnosis.nonlinear.further import needed
 from labnnum.diagnosis.nonlinear.joined import joined, records, with_friction
 from labnnum.diagnosis.nonlinear.linearise import linearised
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
+from labnnum.diagnosis.nonlinear.matched import within
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.pairs import BETTER, ENOUGH, paired, study_of
 from labnnum.diagnosis.nonlinear.recorded import behind_recorder
@@ -379,13 +380,11 @@ def parts_of(
             return None
         b = engine.band_modes
         parts = split(others, float(1 / np.min(engine.zeta0[b] * engine.state(engine.theta0).omega[b])))
-        train = sorted((_within(o, span) for o in parts.train), key=lambda o: o.level)
-        test = sorted((_within(o, span) for o in parts.test), key=lambda o: o.level)
+        train = sorted((within(o, span) for o in parts.train), key=lambda o: o.level)
+        test = sorted((within(o, span) for o in parts.test), key=lambda o: o.level)
         runs, whole = [o.run for o in train if o.run is not None], parts.whole
-    else:
-        if not signs(runs).present:
-            return None
-        train, test = ([_within(o, span) for o in some] for some in (train, test))
+    elif not signs(runs).present:
+        return None
     train, test = ([o for o in some if o.run is not None and o.run.compared.any()] for some in (train, test))
     if not train:
         return None
@@ -416,13 +415,6 @@ def _bought(last: Tried) -> bool:
 def _runs(some: Sequence[Observation]) -> list[Run]:
     """Runs of observations that have one."""
     return [o.run for o in some if o.run is not None]
-
-
-def _within(o: Observation, span: tuple[float, float]) -> Observation:
-    """The observation with its run compared inside the band only."""
-    assert o.run is not None
-    inside = (o.run.frequency >= span[0]) & (o.run.frequency <= span[1])
-    return replace(o, run=replace(o.run, use=inside if o.run.use is None else o.run.use & inside))
 
 
 def _levels(train: Sequence[Observation], runs: list[Run], most: int = 4) -> tuple[list[Observation], list[Run]]:

@@ -30,7 +30,7 @@ from labnnum.diagnosis.nonlinear.effort import counted
 from labnnum.diagnosis.nonlinear.explore import STRAINED
 from labnnum.diagnosis.nonlinear.identified import LEAST, NEARLY, missing, own_scatter
 from labnnum.diagnosis.nonlinear.locate import Lead
-from labnnum.diagnosis.nonlinear.matched import matched
+from labnnum.diagnosis.nonlinear.matched import matched, within
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.merge import merged
 from labnnum.diagnosis.nonlinear.overloaded import overloaded
@@ -70,6 +70,8 @@ def nonlinear_first(
     from labnnum.diagnosis.runs import kept_from_law
 
     usable, held_out = ([mended(o, held) for o in some] for some in (steadier(gate.usable), held_out))
+    if span is not None and not isinstance(engine.structure, ModalStructure):  # its band is what one level showed
+        usable, held_out = ([within(o, span) for o in some] for some in (usable, held_out))
     held_out = [same for o in held_out if (same := matched(o, usable[0])) is not None]
     kept = set() if held_out else kept_from_law(usable)
     train = [o for i, o in enumerate(usable) if i not in kept]

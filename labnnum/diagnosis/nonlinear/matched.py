@@ -1,4 +1,4 @@
-"""Runs held out, with the channels of those that are fitted: a law is simulated where these have their sensors."""
+"""Runs as they are compared: in the model's band, and held out with the channels of those that are fitted."""
 
 from __future__ import annotations
 
@@ -30,6 +30,14 @@ def matched(o: Observation, like: Observation) -> Observation | None:
     return replace(
         o, frf=_with_rows(o.frf, rows), run=run, drift_slope=slope, distortion=distortion, recordings=recordings
     )
+
+
+def within(o: Observation, span: tuple[float, float]) -> Observation:
+    """The observation with its run compared inside a band in Hz only."""
+    if o.run is None:
+        return o
+    inside = (o.run.frequency >= span[0]) & (o.run.frequency <= span[1])
+    return replace(o, run=replace(o.run, use=inside if o.run.use is None else o.run.use & inside))
 
 
 def _what(c: Channel) -> tuple[str, str, float, str]:
