@@ -8,9 +8,16 @@ import pytest
 from scipy import stats
 
 from labnnum.errors import ConfigError, FileError
+from labnnum.mechanisms import Place, QuadraticStiffness
+from labnnum.mechanisms.extended import site_of
+from sessions.model import read_model
 from sessions.prove import answers, listing, measures, run, score, seal, visible
+from sessions.prove.cases import conceal, write_case
 from sessions.prove.intervals import Share, clopper_pearson, half_point
 from sessions.prove.suite import draw
+from sessions.prove.truth import fe
+from sessions.prove.truth.physics import node_row
+from sessions.prove.words import axis_name
 
 BAND = (5.0, 100.0)
 
@@ -115,6 +122,71 @@ def test_parameter_errors_by_any_of_their_names():
     known = fault(parameters={"m": {"value": 2.0, "unit": "kg"}})
     said = answer(where=place("node", "3"), mechanism="added-mass", parameters={"mass": {"value": 2.1, "std": 0.05}})
     assert answers.judge(truth(known), said).errors["added-mass.m"] == pytest.approx((0.05, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("where", "named", "k2", "error"),
+    [
+        (place("ground", "3"), place("ground", "3"), 2.0, 0.0),
+        (place("ground", "3"), place("ground", "3"), -2.0, -2.0),
+        (place("joint", "3", "4"), place("joint", "3", "4"), 2.0, 0.0),
+        (place("joint", "3", "4"), place("joint", "3", "4"), -2.0, -2.0),
+        (place("joint", "3", "4"), place("joint", "4", "3"), -2.0, 0.0),
+        (place("joint", "3", "4"), place("joint", "4", "3"), 2.0, -2.0),
+        (place("joint", "3", "4"), place("ground", "4"), -2.2, 0.1),  # moves alike, in a sense that nobody tells
+    ],
+)
+def test_a_spring_that_pulls_one_way_only_must_pull_that_way(where, named, k2, error):
+    known = {"k2": {"value": 2.0, "unit": "N/m^2"}}
+    law = fault("quadratic-stiffness", where, parameters=known, places=[place("ground", "4")])
+    said = answer(where=named, mechanism="quadratic-stiffness", parameters={"k2": {"value": k2, "std": 0.1}})
+    assert answers.judge(truth(law), said).errors["quadratic-stiffness.k2"] == pytest.approx((error, 20 * error))
+
+
+@pytest.mark.parametrize("k2", [2.0, -2.0])
+def test_the_sense_of_an_angle_is_the_models_own(k2):
+    known = {"k2": {"value": 2.0, "unit": "N/m^2, of the angle"}}
+    law = fault("quadratic-stiffness", place("joint", "3", "4"), parameters=known)
+    said = answer(where=law["place"], mechanism="quadratic-stiffness", parameters={"k2": {"value": k2, "std": 0.1}})
+    assert answers.judge(truth(law), said).errors["quadratic-stiffness.k2"] == (0.0, 0.0)
+
+
+JOINTED = [("chain", 2, 1.0), ("base-beam", 0, 1.0), ("frame", 0, 1.0), ("free-beam", 0, 1.0), ("free-beam", 1, -1.0)]
+
+
+@pytest.mark.parametrize(("kind", "seed", "turned"), JOINTED)
+def test_a_concealed_joint_moves_as_the_users_model_says_of_its_nodes_in_that_order(kind, seed, turned, tmp_path):
+    """Only an angle may be turned: that of a model whose z is the bench's second axis has the other sense."""
+    case = conceal(seed, kind, "quadratic-stiffness", 0.6)
+    (law,), (told,) = case.state.laws, case.state.faults
+    assert told.place["kind"] == "joint"
+    a, b = told.place["id"], told.place["to"]
+    mesh = case.state.mesh
+    (axis,) = (i for i in range(3) if law.row[mesh.dof(b, i)] != 0)
+    assert (axis == 2) == ("of the angle" in told.parameters["k2"]["unit"])
+    along = 0 if kind == "chain" else 1
+    w = 2 * np.pi * np.linspace(*case.state.bench.band, 60)
+    there = motion(*fe.assemble(mesh)[:2], node_row(case.state, b, along)[0], law.row, w, mesh.active)
+
+    write_case(case, tmp_path)
+    structure = read_model(tmp_path / "model.toml").structure
+    m = structure.matrices(structure.nominal)
+    seen = structure.participation(f"{b}:{axis_name(case.state.bench, along)}", structure.nominal)
+    for place, sense in ((Place("joint", a, b), 1.0), (Place("joint", b, a), -1.0)):
+        column = QuadraticStiffness().at(site_of(structure), place, axis_name(case.state.bench, axis)).data["column"]
+        here = motion(m.M, m.K, seen, column, w)
+        assert alike(here, there) * sense * turned > 0.7
+
+
+def alike(one, other):
+    """Cosine between two responses: near 1 where they are one, near -1 where they are turned round."""
+    return np.vdot(one, other).real / (np.linalg.norm(one) * np.linalg.norm(other))
+
+
+def motion(mass, stiffness, seen, load, omega, active=slice(None)):
+    """Motion `seen` under a force `load` at each frequency, damped so much that no resonance stands out."""
+    M, K = (x[active][:, active] for x in (mass, stiffness))
+    return np.array([seen[active] @ np.linalg.solve((1 + 0.5j) * K - w**2 * M, load[active]) for w in omega])
 
 
 def scored(family, judged_answer, *faults, visibility=50.0):

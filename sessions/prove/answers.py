@@ -9,6 +9,9 @@ Mechanisms. The same id, or one that no measurement of the band could tell from 
 `accept` (an oscillator tuned above the band is an added mass; a channel turned round is a gain of -1; a stiffer
 spring between a chain's mass and its wall is a spring from the mass to the ground; a softer one is a wall that
 gives), and the converse for a declared oscillator that is tuned above the band where the truth is an added mass.
+
+Values. A constant that changes sign with the sense of the motion is turned round where the answer names a joint's nodes
+in the other order; at the ground and in the same order it is not.
 """
 
 from __future__ import annotations
@@ -32,8 +35,8 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "k_theta": ("k_theta", "stiffness"),
 }
 """Names under which an answer may give a concealed parameter, besides its own."""
-EITHER_WAY = ("quadratic-stiffness",)
-"""Laws whose constant changes sign with the sense in which a joint's two nodes are named."""
+SENSED = ("quadratic-stiffness",)
+"""Laws whose constant changes sign with the sense of the motion that they see."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +167,7 @@ def judge(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> Judged:
     for entry, row in zip(named, whole, strict=True):
         for ok, fault in zip(row, faults, strict=True):
             if ok:
-                errors.update(parameter_errors(entry["mechanism"], fault))
+                errors.update(parameter_errors(entry, fault))
     verdict = str(diagnosis.get("verdict"))
     return Judged(
         case=str(truth["case"]),
@@ -191,20 +194,34 @@ def _accepted_place(place: Mapping[str, Any] | None, fault: Mapping[str, Any]) -
     return bool(place) and spot(place) in [spot(p) for _, p in fault.get("accept", ())]
 
 
-def parameter_errors(mechanism: Mapping[str, Any], fault: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Relative and standardised error of every parameter that truth and answer both give."""
+def parameter_errors(answer: Mapping[str, Any], fault: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """Relative and standardised error of every parameter that both the truth and an answered entry give."""
     out = {}
     for name, true in fault["parameters"].items():
-        given = _parameter(mechanism, name)
+        given = _parameter(answer["mechanism"], name)
         if given is None or true["value"] == 0:
             continue
-        flip = -1.0 if fault["mechanism"] in EITHER_WAY and given[0] * true["value"] < 0 else 1.0
-        wrong = flip * given[0] - true["value"]
+        value = given[0]
+        if fault["mechanism"] in SENSED:
+            sense = _sense(answer.get("place") or {}, fault["place"], true)
+            value = sense * value if sense else abs(value) * (1 if true["value"] > 0 else -1)
+        wrong = value - true["value"]
         out[f"{fault['mechanism']}.{name}"] = (
             wrong / abs(true["value"]),
             wrong / given[1] if given[1] > 0 else float("nan"),
         )
     return out
+
+
+def _sense(answer: Mapping[str, Any], place: Mapping[str, Any], true: Mapping[str, Any]) -> int:
+    """1 where an answer sees the truth's motion, -1 where the reversed one, 0 where the truth does not tell.
+
+    A joint's motion is that of its second node less that of its first. It does not tell of angles, whose sense the
+    user's model may take the other way, nor of places that move alike, in either sense.
+    """
+    if spot(answer) != spot(place) or "of the angle" in true.get("unit", ""):
+        return 0
+    return -1 if spot(place)[0] == "pair" and str(answer["id"]) != str(place["id"]) else 1
 
 
 def held_out_ratio(diagnosis: Mapping[str, Any]) -> float:
