@@ -48,8 +48,8 @@ class Identified:
     `frequency` (n,) in Hz and `damping_ratio` (n,) of the modes in the band; `structure` holds these and the two that
     stand for all others; `error` relative RMS over the responses; `fitted` (n_out, n_f) the receptances of `structure`.
     `nodal` (n_nodal,) are the frequencies in Hz of modes that hardly move the driven place: how much they move the
-    others under a force there is known, how much under a force elsewhere is not, and their shapes have the least size
-    that the scatter at the drive allows.
+    others under a force there is known, how much under a force elsewhere is not, and their shapes are as large as the
+    others' are in the median, as far as the scatter at the drive allows.
     """
 
     frequency: NDArray[np.float64]
@@ -224,8 +224,8 @@ def _scaled(
     """Frequencies in rad/s, damping ratios and residues (n, n_out) that a structure can have, and which are nodal.
 
     Those of the driven place, row `at`, are positive. A mode beside the band that would need a negative one is left
-    out. In the band such a mode gets the residue's standard deviation there, or more where that fits better; the
-    others' residues at the drive are fitted anew.
+    out. In the band such a mode gets the residue that makes its shape as large as the others' are in the median, its
+    standard deviation at most, or more where that fits better; the others' residues at the drive are fitted anew.
     """
     low, high = 0.35 * omega[0], 3.0 * omega[-1]
     mode = np.concatenate([[low], 2 * np.pi * poles, [high]])
@@ -242,7 +242,10 @@ def _scaled(
         a = np.concatenate([basis.real, basis.imag], axis=1).T
         b = np.concatenate([(h[at] * weight[at]).real, (h[at] * weight[at]).imag])
         scatter = np.linalg.norm(np.linalg.pinv(a), axis=1) * np.sqrt(np.mean((a @ own - b) ** 2))
-        least[nodal] = np.clip(scatter[nodal], least[nodal], np.abs(own).max())
+        others = np.linalg.norm(np.delete(residue, at, axis=1), axis=1)
+        usual = np.median((others / np.sqrt(np.abs(own)))[~nodal]) if not nodal.all() else np.inf
+        wanted = np.minimum(scatter, (others / usual) ** 2)
+        least[nodal] = np.clip(wanted[nodal], least[nodal], np.abs(own).max())
         scale = np.linalg.norm(a, axis=0)
         residue[:, at] = lsq_linear(a / scale, b, (least * scale, np.inf)).x / scale
     return mode, zeta, residue, nodal & ~beside
