@@ -127,6 +127,18 @@ class Frf:
         """The same FRFs on the lines with low <= f <= high."""
         return self.at((self.frequency >= low) & (self.frequency <= high))
 
+    def rows(self, outputs: Sequence[int]) -> Frf:
+        """The same FRFs of these outputs, by number, in this order."""
+        pick = list(outputs)
+
+        def cut(a: NDArray | None) -> NDArray | None:
+            return None if a is None else a[pick]
+
+        return replace(
+            self, value=self.value[pick], outputs=tuple(self.outputs[i] for i in pick), variance=cut(self.variance),
+            coherence=cut(self.coherence), shared=cut(self.shared),
+        )  # fmt: skip
+
     def at(self, mask: NDArray) -> Frf:
         """The same FRFs on the lines that `mask` (boolean or index, shape (n_f,)) chooses."""
 

@@ -18,7 +18,6 @@ from labnnum.mechanisms.base import Place, Term
 from labnnum.mechanisms.channel_clipping import ChannelClipping
 from labnnum.mechanisms.drift import Drift
 from labnnum.parameters import Parameter
-from labnnum.recording import Recording
 
 LOUD_DB = 12.0
 """Odd distortion above noise that counts as distorted."""
@@ -226,27 +225,15 @@ def _without(o: Observation, name: str) -> Observation | None:
     if len(keep) == len(o.frf.outputs) or not keep:
         return None
 
-    def rows_of(f: Frf) -> Frf:
-        return replace(
-            f, value=f.value[keep], outputs=tuple(f.outputs[i] for i in keep),
-            variance=None if f.variance is None else f.variance[keep],
-            coherence=None if f.coherence is None else f.coherence[keep],
-            shared=None if f.shared is None else f.shared[keep],
-        )  # fmt: skip
-
-    cut = rows_of(o.frf)
-    slope = None if o.drift_slope is None else rows_of(o.drift_slope)
+    cut = o.frf.rows(keep)
+    slope = None if o.drift_slope is None else o.drift_slope.rows(keep)
     distortion = {k: v[keep] if v.size == len(o.frf.outputs) else v for k, v in o.distortion.items()}
     run = o.run and replace(o.run, y=o.run.y[keep], noise=o.run.noise[keep], outputs=cut.outputs)
-    rows = tuple(_less_channel(r, name) for r in o.recordings)
+    rows = tuple(r.select([c.name for c in r.channels if c.name != name]) for r in o.recordings)
     clipped, peaks = ({n: v for n, v in known.items() if n != name} for known in (o.clipped, o.peaks))
     return replace(
         o, frf=cut, run=run, recordings=rows, drift_slope=slope, distortion=distortion, clipped=clipped, peaks=peaks
     )
-
-
-def _less_channel(recording: Recording, name: str) -> Recording:
-    return recording.select([c.name for c in recording.channels if c.name != name])
 
 
 def drifted(

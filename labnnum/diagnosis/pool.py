@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -14,31 +13,20 @@ from labnnum.frf import Frf
 from labnnum.recording import Channel
 
 
-class Measured(Protocol):
-    """What has outputs and inputs."""
-
-    @property
-    def outputs(self) -> tuple[Channel, ...]:
-        """Responses."""
-        ...
-
-    @property
-    def inputs(self) -> tuple[Channel, ...]:
-        """Forces, or the base."""
-        ...
-
-
-def places_of_channels(frf: Measured) -> list[tuple]:
-    """What each output and input is, and where: name, degree of freedom, sense, quantity."""
-    return [(c.name, c.dof, c.sign, c.quantity) for c in (*frf.outputs, *frf.inputs)]
+def what_of(channels: Sequence[Channel]) -> list[tuple[str, str, float, str]]:
+    """What each channel is, and where: name, degree of freedom, sense, quantity."""
+    return [(c.name, c.dof, c.sign, c.quantity) for c in channels]
 
 
 def require_one_set_up(observations: Sequence[Observation]) -> None:
     """ChannelError where runs differ in their channels, their places, or the window that they are seen through."""
     first = observations[0]
-    channels, decay = places_of_channels(first.frf), float(first.frf.settings.get("window_decay", 0.0))
+    channels, decay = (
+        what_of((*first.frf.outputs, *first.frf.inputs)),
+        float(first.frf.settings.get("window_decay", 0.0)),
+    )
     for o in observations[1:]:
-        if places_of_channels(o.frf) != channels:
+        if what_of((*o.frf.outputs, *o.frf.inputs)) != channels:
             raise ChannelError(
                 f"{o.label}: its channels, or their places, differ from those of {first.label}; expected one"
                 " set-up, or hits at several points with the same sensors"

@@ -11,7 +11,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.fit import Fit, fit
 from labnnum.diagnosis.objective import Problem, frequency_spread
 from labnnum.diagnosis.point import Point
-from labnnum.diagnosis.pool import places_of_channels
+from labnnum.diagnosis.pool import what_of
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.search import broaden
 from labnnum.diagnosis.task import choose_lines, data_of
@@ -60,17 +60,22 @@ def foretold(engine: Engine, made: Fit, test: Frf, scatter: Scatter) -> float:
     nothing, and a fault of one row among many, or of a few lines, is not lost in their errors. NaN where the held-out
     channels are not those of the fit.
     """
-    if places_of_channels(test) != places_of_channels(engine):
+    if not _seen_by(engine, test):
         return float("nan")
     problem = Problem(engine, data_of(choose_lines(test), scatter), made.terms, scatter)
     return problem.marginal(made.point.vector())
+
+
+def _seen_by(engine: Engine, frf: Frf) -> bool:
+    """Whether FRFs have the outputs and inputs of an engine."""
+    return what_of(frf.outputs) == what_of(engine.outputs) and what_of(frf.inputs) == what_of(engine.inputs)
 
 
 def predicted(engine: Engine, made: Fit, frf: Frf) -> NDArray[np.complex128]:
     """FRFs of a fitted model on the lines and channels of `frf`, which need not be those it was fitted to."""
     s = float(frf.settings.get("window_decay", 0.0)) + 1j * frf.omega
     point = made.point
-    if places_of_channels(frf) != places_of_channels(engine):
+    if not _seen_by(engine, frf):
         other = Engine(engine.structure, frf.outputs, frf.inputs, engine.band)
         other.refine(engine.finer)
         if engine.coupling is not None:
