@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from labnnum.errors import ConfigError, InputError
@@ -161,8 +162,22 @@ def parse_rig(text: str, path: str | Path = "rig.toml", known: Calibration | Non
                 " (or of the unit that you name)"
             )
         stored.append(one)
+        _within_range(tables[-1], one, where)
     toml = toml.model_copy(update={"channel": tuple(tables)})
     return Rig(toml, text, path, tuple(stored), tuple(said), known)
+
+
+def _within_range(table: RigChannel, one: StoredChannel, where: str) -> None:
+    """ConfigError for a limit that the channel's input cannot reach: it would never stop anything."""
+    if one.channel.sensitivity is None or table.full_scale is None:
+        return
+    most = float(np.abs(one.to_si(np.array([-table.full_scale, table.full_scale]))).max())
+    for key, limit in (("warn", table.warn), ("stop", table.stop)):
+        if limit is not None and limit > most:
+            raise ConfigError(
+                f"{where}channel {table.name!r}: {key} {limit:g} {one.channel.unit} lies beyond the input's range,"
+                f" {most:.4g} {one.channel.unit} at full_scale {table.full_scale:g} V, and would never be met"
+            )
 
 
 def read_rig(path: str | Path, complete: bool = True) -> Rig:

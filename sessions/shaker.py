@@ -75,12 +75,22 @@ class _Excited(ABC):
         return whole
 
     def wait_whole(self, samples: int) -> int:
-        """Let samples be recorded until so many lie behind one another without a gap, if they ever do; their first."""
+        """Let samples be recorded until so many lie behind one another without a gap; their first.
+
+        Raises
+        ------
+        EstimationError
+            If none of many stretches is whole; output switched off.
+        """
         for _ in range(TRIES):
             start = self.desk.position
             if self.wait(samples):
-                break
-        return start
+                return start
+        self.desk.off()
+        raise EstimationError(
+            f"{self.desk.item.key}: the device lost frames in each of {TRIES} stretches of {samples / self.rate:.3g} s:"
+            " raise device.block or device.buffer, or lower device.rate. Output switched off"
+        )
 
     def volts(self, rms: float, ramp: float = 0.0) -> None:
         """Set the generator, and note it; not after the guard or the person has switched it off."""

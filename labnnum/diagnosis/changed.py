@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.linalg import LinAlgError, eigh, get_lapack_funcs
 
 from labnnum.errors import ModelError
 from labnnum.mechanisms.changes import Change, Freed
+from labnnum.mechanisms.let_go import LetGo
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,64 +29,83 @@ class Changed:
 
 def changed(
     mass: NDArray, stiffness: NDArray, slopes: list[tuple[NDArray, NDArray]],
-    changes: Sequence[tuple[Change, NDArray]], off: NDArray, nominal: NDArray,
+    changes: Sequence[tuple[Change, NDArray]], off: NDArray, nominal: NDArray, gone: LetGo | None,
 ) -> Changed:  # fmt: skip
     """M and K, their `slopes` to the structure's parameters, which are `off` nominal, with changes at their parameters;
-    `nominal` is the mass there.
+    `nominal` is the mass there; `gone` are the supports that changes let go.
     """
-    own = []
+    static, own_load = np.zeros((len(mass), 0)), np.zeros(0)
+    if gone is not None:
+        static, own_load = np.hstack([c.static for c in gone.gone]), np.concatenate([c.own_load for c in gone.gone])
+        mass, stiffness, slopes = _freed(mass, stiffness, slopes, gone.gone, nominal)
+    every, at = [], len(stiffness) - static.shape[1]
     for change, p in changes:
-        own.append(change.derivatives(p, off))
-        if not isinstance(change, Freed):
-            more, stiffer = change.matrices(p, off)
-            mass, stiffness = mass + more, stiffness + stiffer
-            for j, (a, b) in enumerate(change.structure_derivatives(p, off)):
-                slopes[j] = (slopes[j][0] + a, slopes[j][1] + b)
-    if any(isinstance(c, Freed) for c, _ in changes):
-        return _freed(mass, stiffness, slopes, own, changes, off, nominal)
-    every = [*slopes, *(pair for part in own for pair in part)]
-    return Changed(mass, stiffness, every, np.zeros((len(mass), 0)), np.zeros(0))
+        if isinstance(change, Freed):
+            one: Change = OfSupport(change, at, len(stiffness))
+            at += change.static.shape[1]
+        else:
+            one = change if gone is None else gone.change(change)
+        more, stiffer = one.matrices(p, off)
+        mass, stiffness = mass + more, stiffness + stiffer
+        for j, (a, b) in enumerate(one.structure_derivatives(p, off)):
+            slopes[j] = (slopes[j][0] + a, slopes[j][1] + b)
+        every += one.derivatives(p, off)
+    return Changed(mass, stiffness, [*slopes, *every], static, own_load)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class OfSupport(Change):
+    """What a support opposes to its motions q, and how their mass joins the others': coordinates from `at` of n."""
+
+    freed: Freed
+    at: int
+    n: int
+
+    def _placed(self, own: NDArray) -> NDArray[np.float64]:
+        out = np.zeros((self.n, self.n), own.dtype)
+        here = slice(self.at, self.at + len(own))
+        out[here, here] = own
+        return out
+
+    def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
+        """Of all coordinates, (n, n) each."""
+        mass, stiffness = (self._placed(m) for m in self.freed.matrices(p, change))
+        load = self.freed.load
+        here = slice(self.at, self.at + load.shape[1])
+        mass[: len(load), here] += load
+        mass[here, : len(load)] += load.T
+        return mass, stiffness
+
+    def derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """To each compliance."""
+        return [(self._placed(a), self._placed(b)) for a, b in self.freed.derivatives(p, change)]
+
+    def structure_derivatives(self, p: NDArray, change: NDArray) -> list[tuple[NDArray, NDArray]]:
+        """To each parameter of the structure."""
+        return [(self._placed(a), self._placed(b)) for a, b in self.freed.structure_derivatives(p, change)]
 
 
 def _freed(
-    mass: NDArray, stiffness: NDArray, slopes: list, own: list, changes: Sequence[tuple[Change, NDArray]],
-    off: NDArray, nominal: NDArray,
-) -> Changed:  # fmt: skip
-    """With the held motions of supports let go: u = y + R q, so that mass that came to u loads y and q alike."""
-    free = [c for c, _ in changes if isinstance(c, Freed)]
+    mass: NDArray, stiffness: NDArray, slopes: list, free: Sequence[Freed], nominal: NDArray
+) -> tuple[NDArray, NDArray, list[tuple[NDArray, NDArray]]]:
+    """The structure's own over y and q, u = y + R q: mass that came to u loads y and q alike; R is static, so that of
+    the stiffness, in which parameters change all alike, nothing ties them.
+    """
     static = np.hstack([c.static for c in free])
     n, d = static.shape
     spread = np.hstack([np.eye(n), static])
 
     def lifted(pair: tuple[NDArray, NDArray]) -> tuple[NDArray, NDArray]:
-        return spread.T @ pair[0] @ spread, np.pad(pair[1], (0, d))
+        made = np.pad(pair[1], (0, d))
+        made[n:, n:] -= across[1] * (static.T @ pair[1] @ static)
+        return spread.T @ pair[0] @ spread, made
 
     across = _across(free, nominal)
     more, stiffness = lifted((mass - nominal, stiffness))
     mass = np.pad(nominal, (0, d)) + more
     mass[n:, n:] += across[0]
-    stiffness[n:, n:] -= across[1] * (static.T @ stiffness[:n, :n] @ static)
-    slopes = [lifted(pair) for pair in slopes]
-    for _, slope in slopes:
-        slope[n:, n:] -= across[1] * (static.T @ slope[:n, :n] @ static)
-    every, at = [], n
-    for (change, p), part in zip(changes, own, strict=True):
-        if not isinstance(change, Freed):
-            every += [lifted(pair) for pair in part]
-            continue
-        here = slice(at, at + change.static.shape[1])
-        at = here.stop
-        mass[:n, here] += change.load
-        mass[here, :n] += change.load.T
-        for whole, share in zip((mass, stiffness), change.matrices(p, off), strict=True):
-            whole[here, here] += share
-        for pair, share in zip(slopes, change.structure_derivatives(p, off), strict=False):
-            pair[1][here, here] += share[1]
-        for _, slope in part:
-            whole = np.zeros_like(stiffness)
-            whole[here, here] = slope
-            every.append((np.zeros_like(mass), whole))
-    return Changed(mass, stiffness, [*slopes, *every], static, np.concatenate([c.own_load for c in free]))
+    return mass, stiffness, [lifted(pair) for pair in slopes]
 
 
 def _across(free: Sequence[Freed], mass: NDArray) -> tuple[NDArray, NDArray]:

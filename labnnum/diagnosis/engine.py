@@ -28,8 +28,9 @@ from labnnum.diagnosis.remainder import Remainder
 from labnnum.errors import ChannelError, ModelError
 from labnnum.frf import MOTION_ORDER
 from labnnum.mechanisms.base import Site, Term
-from labnnum.mechanisms.changes import Change
+from labnnum.mechanisms.changes import Change, Freed
 from labnnum.mechanisms.geometry import held_motions, touching
+from labnnum.mechanisms.let_go import LetGo
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
 from labnnum.structures.modal import ModalStructure
@@ -73,6 +74,7 @@ class Engine:
         self._affine = affine(structure, dofs, self.basis, self.is_base)
         self.remainder = Remainder(structure, self.high, self._affine)
         self._cache: dict[tuple, State] = {}
+        self._gone: dict[tuple[int, ...], LetGo | None] = {}
         self._seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
         self._share: tuple[tuple, NDArray[np.complex128]] | None = None
         self._evaluated: tuple[tuple, Evaluation, tuple[Term, ...]] | None = None
@@ -205,7 +207,15 @@ class Engine:
             m = self.structure.matrices(theta)
             mass, stiffness = np.real(m.M), np.real(m.K)
             slopes = [(np.real(d.M), np.real(d.K)) for d in self.structure.derivatives(theta)]
-        return changed(mass, stiffness, slopes, changes, theta - self.theta0, self._nominal_mass)
+        gone = self._let_go(tuple(c for c, _ in changes if isinstance(c, Freed)))
+        return changed(mass, stiffness, slopes, changes, theta - self.theta0, self._nominal_mass, gone)
+
+    def _let_go(self, freed: tuple[Freed, ...]) -> LetGo | None:
+        """The structure with these supports let go; remembered."""
+        key = tuple(id(c) for c in freed)
+        if key not in self._gone:
+            self._gone[key] = LetGo.of(self.structure, freed)
+        return self._gone[key]
 
     @cached_property
     def _nominal_mass(self) -> NDArray[np.float64]:

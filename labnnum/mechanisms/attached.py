@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.base import Group, Term
-from labnnum.mechanisms.changes import Change
+from labnnum.mechanisms.base import Group, Place, Term
+from labnnum.mechanisms.changes import Change, Freed
+from labnnum.mechanisms.geometry import dof_rows, meets, with_support
 from labnnum.mechanisms.laws import Compliance, Inertia, Mass, Spring
 
 STEP = 1e-20
@@ -22,6 +24,22 @@ class Attached(Change):
     """Springs and masses on a few motions as a change of the structure's own matrices."""
 
     groups: tuple[Group, ...]
+    place: Place
+
+    def lifted(self, freed: Sequence[Freed]) -> Attached:
+        """The same over y and the motions q of supports that were let go, u = y + R q: it acts on u."""
+        return replace(self, groups=tuple(replace(g, columns=self._lifted(g.columns, freed)) for g in self.groups))
+
+    def _lifted(self, columns: NDArray, freed: Sequence[Freed]) -> NDArray[np.float64]:
+        rows = [columns]
+        for c in freed:
+            own = c.static.T @ columns
+            if meets(self.place, c.support):
+                other = str(self.place.id if c.support == self.place.to else self.place.to)
+                at = dof_rows(c.site, other)
+                own += [with_support(c.site.nodes, at, self.place, columns, c.support, a) for a in c.axes]
+            rows.append(own)
+        return np.vstack(rows)
 
     def matrices(self, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
         """Share of M and K."""
@@ -60,6 +78,6 @@ def in_structure(term: Term, *, floats: bool) -> Term:
     held = floats and term.place.kind in ("ground", "support") and not term.inertial.all()
     if elastic and not held and all(g.carried is None for g in term.groups):
         plain = Term(term.mechanism, term.place, term.parameters, term.starts, (), term.variant)
-        plain.data.update(change=Attached(term.groups), sought=term)
+        plain.data.update(change=Attached(term.groups, term.place), sought=term)
         term.data["fitted"] = plain
     return term

@@ -30,6 +30,10 @@ class Tension(Change):
         """To the tension."""
         return [(np.zeros_like(self.geometric), self.geometric)]
 
+    def again(self, site: Site) -> Tension:
+        """Of the same line of elements."""
+        return Tension(line_stiffness(site))
+
 
 @final
 @dataclass(frozen=True)
@@ -46,11 +50,7 @@ class AxialPreload(Mechanism):
 
     def terms(self, site: Site) -> Iterable[Term]:
         """The whole line of elements at once, where nodes have coordinates."""
-        total = np.zeros_like(site.stiffness)
-        for a, b in site.mesh:
-            part = geometric_stiffness(site, a, b)
-            if part is not None:
-                total += part
+        total = line_stiffness(site)
         value, vector = np.linalg.eigh(total)
         keep = value > 1e-9 * max(value.max(initial=0.0), 1e-300)
         if not keep.any() or value.max() <= 0:
@@ -65,6 +65,16 @@ class AxialPreload(Mechanism):
     def sense(self, term: Term, p: np.ndarray) -> str | None:
         """Either "tension" or "compression"."""
         return "tension" if p[0] >= 0 else "compression"
+
+
+def line_stiffness(site: Site) -> np.ndarray:
+    """Geometric stiffness (n, n) of all elements under unit tension."""
+    total = np.zeros_like(site.stiffness)
+    for a, b in site.mesh:
+        part = geometric_stiffness(site, a, b)
+        if part is not None:
+            total += part
+    return total
 
 
 def geometric_stiffness(site: Site, a: str, b: str) -> np.ndarray | None:

@@ -15,6 +15,7 @@ from labnnum.eigen import moves_freely, natural_modes
 from labnnum.errors import ConfigError, ModelError
 from labnnum.mechanisms.attached import in_structure
 from labnnum.mechanisms.base import ChannelMechanism, Mechanism, Place, Term
+from labnnum.mechanisms.changes import Freed
 from labnnum.mechanisms.laws import Release
 from labnnum.mechanisms.let_go import LetGo
 from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
@@ -105,7 +106,8 @@ class ExtendedStructure(Structure):
 
     @cached_property
     def _let_go(self) -> LetGo | None:
-        return LetGo.of(self.inner, [a.term for a in self.added])
+        whole = [a.term.fitted.whole for a in self.added]
+        return LetGo.of(self.inner, [c for c in whole if isinstance(c, Freed)])
 
     @cached_property
     def _size(self) -> int:
@@ -187,7 +189,8 @@ class ExtendedStructure(Structure):
     def _whole(self, blocks: list[NDArray], term: Term, p: NDArray, change: NDArray) -> None:
         """Add what changes the whole structure."""
         assert term.whole is not None
-        made = term.whole.matrices(p, change) if self._let_go is None else self._let_go.changed(term, p, change)
+        one = term.whole if self._let_go is None else self._let_go.change(term.whole)
+        made = one.matrices(p, change)
         here = np.ix_(self._moved, self._moved)
         blocks[0][here] += made[0]
         blocks[2][here] += made[1]

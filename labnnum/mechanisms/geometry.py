@@ -6,12 +6,13 @@ element's; what the block lacks follows from the element exerting nothing in a r
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Held, Site
+from labnnum.mechanisms.base import ROTATIONS, TRANSLATIONS, Held, Place, Site
 from labnnum.structures.base import Structure
 
 AXES = TRANSLATIONS + ROTATIONS
@@ -37,6 +38,32 @@ def rigid_transfer(from_xyz: NDArray, to_xyz: NDArray, rows: list[str], columns:
         full[:3, 3 + j] = np.cross(turn, arm)
     pick = [AXES.index(r) for r in rows]
     return full[np.ix_(pick, [AXES.index(c) for c in columns])]
+
+
+def with_support(
+    nodes: Mapping[str, tuple[float, float, float]], rows: Mapping[str, int], place: Place, columns: NDArray,
+    support: str, axis: str,
+) -> NDArray[np.float64]:  # fmt: skip
+    """What columns (n, k) between a node and `support` have at the support's own motion along `axis`, (k,).
+
+    `rows` are the coordinates of the other node. A column of one motion is the difference of the two nodes along it;
+    any other is of strain, which a motion as a body does not give.
+    """
+    other = place.id if support == place.to else place.to
+    assert other is not None
+    here, there = (np.array(nodes.get(node, (0.0, 0.0, 0.0)), float) for node in (support, other))
+    body = rigid_transfer(here, there, list(rows), [axis])[:, 0]
+    out = np.zeros(columns.shape[1])
+    for k, column in enumerate(columns.T):
+        at = column[list(rows.values())]
+        alone = np.count_nonzero(column) == 1
+        out[k] = -sum(at[j] for j, a in enumerate(rows) if a == axis) if alone else -float(at @ body)
+    return out
+
+
+def meets(place: Place, support: str) -> bool:
+    """Whether something at `place` joins a node to `support`."""
+    return place.to is not None and support in (place.id, place.to)
 
 
 def _xyz(site: Site, node: str) -> NDArray[np.float64]:

@@ -14,10 +14,10 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.mechanisms.base import Place, Site, Term
-from labnnum.mechanisms.changes import Change
-from labnnum.mechanisms.geometry import AXES, rigid_transfer
-from labnnum.mechanisms.laws import Release
+from labnnum.mechanisms.attached import Attached
+from labnnum.mechanisms.base import Place, Site
+from labnnum.mechanisms.changes import Change, Freed, Over
+from labnnum.mechanisms.geometry import AXES, meets, with_support
 from labnnum.mechanisms.site import site_of
 from labnnum.structures.base import Matrices, Structure
 
@@ -37,31 +37,32 @@ class LetGo:
     spread: NDArray[np.float64]
     """T, (n_free, n + d): motions of the free structure from y and q."""
 
-    _changes: dict[int, tuple[Term, Change | None]] = field(default_factory=dict)
+    gone: tuple[Freed, ...]
+
+    _lifted: dict[int, tuple[Change, Change]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, inner: Structure, terms: Sequence[Term]) -> LetGo | None:
-        """What `terms` let go of the structure; None where all supports hold."""
-        gone = [(t, g) for t in terms for g in t.groups if isinstance(g.law, Release) and g.carried is not None]
+    def of(cls, inner: Structure, gone: Sequence[Freed]) -> LetGo | None:
+        """What is `gone` of the structure's supports; None where all hold."""
         if not gone:
             return None
         free = inner
-        for support in dict.fromkeys(t.place.id for t, _ in gone):
+        for support in dict.fromkeys(c.support for c in gone):
             free = free.released(support) or free
-        held = tuple((t.place.id, axis) for t, _ in gone for axis in t.variant.split(" and "))
+        held = tuple((c.support, axis) for c in gone for axis in c.axes)
         nominal = inner.nominal
         supports = {s for s, _ in held}
         extra = [d for d in free.dofs if d.partition(":")[0] in supports and d not in inner.dofs]
         at = {d: int(np.argmax(np.abs(np.real(free.participation(d, nominal))))) for d in extra}
         size = len(free.matrices(nominal).M)
         rest = np.setdiff1d(np.arange(size), list(at.values()))
-        static = np.hstack([g.carried for _, g in gone if g.carried is not None])
+        static = np.hstack([c.static for c in gone])
         spread = np.zeros((size, rest.size + len(held)))
         spread[rest, np.arange(rest.size)] = 1.0
         spread[rest, rest.size :] = static
         for i, (support, axis) in enumerate(held):
             spread[at[f"{support}:{axis}"], rest.size + i] = 1.0
-        return cls(inner, free, held, spread)
+        return cls(inner, free, held, spread, tuple(gone))
 
     @property
     def n(self) -> int:
@@ -111,23 +112,12 @@ class LetGo:
         return np.vstack([columns, self._static.T @ columns + self._at_support(place, columns)])
 
     def _at_support(self, place: Place, columns: NDArray) -> NDArray[np.float64]:
-        """What columns (n, k) between a node and a support have at the support's own motions, (d, k).
-
-        A column of one motion is the difference of the two nodes along it; any other is of strain, which a motion as a
-        body does not give.
-        """
+        """What columns (n, k) between a node and a support have at the support's own motions, (d, k)."""
         out = np.zeros((len(self.held), columns.shape[1]))
         for i, (support, axis) in enumerate(self.held):
-            if place.to is None or support not in (place.id, place.to):
-                continue
-            other = place.id if support == place.to else place.to
-            rows = self._numbers(other)
-            xyz = [np.array(self.inner.nodes.get(node, (0.0, 0.0, 0.0)), float) for node in (support, other)]
-            body = rigid_transfer(xyz[0], xyz[1], list(rows), [axis])[:, 0]
-            for k, column in enumerate(columns.T):
-                at = column[list(rows.values())]
-                alone = np.count_nonzero(column) == 1
-                out[i, k] = -sum(at[j] for j, a in enumerate(rows) if a == axis) if alone else -float(at @ body)
+            if meets(place, support):
+                rows = self._numbers(str(place.id if support == place.to else place.to))
+                out[i] = with_support(self.inner.nodes, rows, place, columns, support, axis)
         return out
 
     def _numbers(self, node: str) -> dict[str, int]:
@@ -140,19 +130,19 @@ class LetGo:
                 out[axis] = int(np.argmax(row))
         return out
 
-    def changed(self, term: Term, p: NDArray, change: NDArray) -> tuple[NDArray, NDArray]:
-        """M and K over y and q that a change of the whole structure adds, in its form on the free one if it has one."""
-        if id(term) not in self._changes:
-            alike = (t for t in term.mechanism.terms(self._site) if t.place == term.place and t.variant == term.variant)
-            self._changes[id(term)] = (term, next((t.whole for t in alike), None))
-        _, whole = self._changes[id(term)]
-        if whole is not None:
-            mass, stiffness = whole.matrices(p, change)
-            return self._taken(mass), self._taken(stiffness)
-        assert term.whole is not None
-        mass, stiffness = term.whole.matrices(p, change)
-        lift = np.hstack([np.eye(self.n), self._static])
-        return lift.T @ mass @ lift, np.pad(stiffness, (0, len(self.held)))
+    def change(self, one: Change) -> Change:
+        """What a change of the structure is over y and q: of the free structure, if it has such a form."""
+        if id(one) not in self._lifted:
+            self._lifted[id(one)] = (one, self._over(one))  # holding it keeps its identity from being used again
+        return self._lifted[id(one)][1]
+
+    def _over(self, one: Change) -> Change:
+        if isinstance(one, Attached):
+            return one.lifted(self.gone)
+        free = one.again(self._site)
+        if free is not None:
+            return Over(free, self.spread)
+        return Over(one, np.hstack([np.eye(self.n), self._static]), stiffness=False)
 
     @cached_property
     def _site(self) -> Site:

@@ -85,6 +85,10 @@ class Thickness(Change):
         zero = np.zeros(self.shear.shape[1:])
         return [(zero, np.tensordot(-phi / (1 + phi) * g, self.shear, 1)) for g in self.gain.T]
 
+    def again(self, site: Site) -> Thickness | None:
+        """Of the same elements."""
+        return thickness_of(site)
+
 
 @final
 @dataclass(frozen=True)

@@ -61,12 +61,12 @@ class SupportCompliance(Mechanism):
         scales = [_scale(site, held, i) for i in range(len(held.axes))]
         moving = [i for i, scale in enumerate(scales) if np.isfinite(scale)]
         for i in moving:
-            yield _term(self, place, held, (i,), scales, np.append(SIZES, [3.0, 10.0])[:, None])
+            yield _term(self, site, place, held, (i,), scales, np.append(SIZES, [3.0, 10.0])[:, None])
         for i in moving:
             for j in moving:
                 if held.axes[i] in TRANSLATIONS and held.axes[j] in ROTATIONS and _tied(held, i, j):
                     sizes = np.array([[a, b] for a in GROSS for b in GROSS])
-                    yield _term(self, place, held, (i, j), scales, sizes)
+                    yield _term(self, site, place, held, (i, j), scales, sizes)
 
 
 def _scale(site: Site, held: Held, i: int) -> float:
@@ -83,8 +83,9 @@ def _tied(held: Held, i: int, j: int) -> bool:
 
 
 def _term(
-    mechanism: Mechanism, place: Place, held: Held, axes: tuple[int, ...], scales: Sequence[float], sizes: np.ndarray
-) -> Term:
+    mechanism: Mechanism, site: Site, place: Place, held: Held, axes: tuple[int, ...], scales: Sequence[float],
+    sizes: np.ndarray,
+) -> Term:  # fmt: skip
     pick = list(axes)
     turning = [held.axes[i] in ROTATIONS for i in pick]
     units = tuple("rad/(N*m)" if turn else "m/N" for turn in turning)
@@ -93,9 +94,11 @@ def _term(
     law = Release(held.stiffness[own], held.mass[own], names, units)
     scale = np.array([scales[i] for i in pick])
     parameters = tuple(Parameter(n, 0.0, 0.0, FARTHEST * x, u) for n, x, u in zip(names, scale, units, strict=True))
-    group = Group(law, held.load[:, pick], 0, held.gain, held.static[:, pick], held.own_load[pick])
-    variant = " and ".join(held.axes[i] for i in pick)
-    change = Freed(law, held.static[:, pick], held.load[:, pick], held.own_load[pick], held.gain)
+    free = tuple(held.axes[i] for i in pick)
+    variant = " and ".join(free)
+    static, load = held.static[:, pick], held.load[:, pick]
+    group = Group(law, load, 0, held.gain, static, held.own_load[pick])
+    change = Freed(law, site, place.id, free, static, load, held.own_load[pick], held.gain)
     sought = Term(mechanism, place, parameters, sizes * scale, (group,), variant)
     sought.data["fitted"] = Term(mechanism, place, parameters, sizes * scale, (), variant, {"change": change})
     sought.data["fitted"].data["sought"] = sought

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.block import Block
 from drivers.simulated import SimulatedBench, SimulatedExciter
-from labnnum.errors import DeviceLostError, SafetyError, StoreError
+from labnnum.errors import ConfigError, DeviceLostError, EstimationError, SafetyError, StoreError
 from labnnum.recording import Channel
 from sessions import tables
 from sessions.bench import measure
@@ -191,6 +191,25 @@ def test_a_level_out_of_reach_is_said(tmp_path):
     rig = shaker_rig(tmp_path, ("gain = 5.0", "gain = 1e-9"))
     with pytest.raises(SafetyError, match=r"more than max_volts|does not settle"):
         measure(rig, tmp_path / "other.h5")
+
+
+@pytest.mark.parametrize("key", ["stop", "warn"])
+def test_a_limit_beyond_the_inputs_range_is_refused(tmp_path, key):
+    """10 V at 0.1 V per m/s^2 are 100 m/s^2: what would stop at 150 never stops."""
+    with pytest.raises(ConfigError, match=rf"channel\[2\].*'a2': {key} 150 m/s\^2 .* 100 m/s\^2 at full_scale 10 V"):
+        shaker_rig(tmp_path, ('node = "2"', f'{key} = 150\nnode = "2"'))
+    assert shaker_rig(tmp_path, ('node = "2"', f'{key} = 100\nnode = "2"')).limits
+    assert shaker_rig(tmp_path, ('node = "2"', f'{key} = 150\nfull_scale = 20.0\nnode = "2"')).limits
+
+
+def test_a_stepped_sine_without_a_whole_stretch_ends_in_words(tmp_path):
+    """Frames lost in every block: no tone lies whole in the recording, and the generator is off."""
+    rig = shaker_rig(
+        tmp_path, ('kind = "multisine"', 'kind = "stepped sine"\nlines = 4'), ("levels = [0.5, 2.0]", "levels = [1.0]"),
+        ("[simulated.channel", "[simulated.faults]\ndropouts = 8.0\ndropout_frames = 20\n[simulated.channel"),
+    )  # fmt: skip
+    with pytest.raises(EstimationError, match=r"lost frames in each of 14 stretches of .* Output switched off"):
+        measure(rig, tmp_path / "out.h5")
 
 
 def test_gaps_stay_out_of_averages(tmp_path):

@@ -5,9 +5,10 @@ import pytest
 from scipy.linalg import eigh
 
 from labnnum.diagnosis.changed import changed
-from labnnum.mechanisms import AddedMass, SupportCompliance, extend
+from labnnum.mechanisms import extend
 from labnnum.mechanisms.attached import in_structure
-from labnnum.mechanisms.site import site_of
+from labnnum.mechanisms.changes import Freed
+from labnnum.mechanisms.let_go import LetGo
 from labnnum.nonlinear import Element, NonlinearSimulation
 from labnnum.parameters import Parameter
 from labnnum.recording import Channel
@@ -105,21 +106,64 @@ def test_parameters_that_move_mass_and_stiffness(off):
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5 * np.abs(other).max())
 
 
-def test_the_written_model_is_the_one_that_was_fitted():
-    """Modes of the diagnosis's own matrices with a clamp that gives, a mass and other parameters."""
-    inner = beam(n=20)
-    site = site_of(inner)
-    clamp = next(t for t in SupportCompliance().terms(site) if t.variant == "ry")
-    mass = next(in_structure(t, floats=False) for t in AddedMass().terms(site) if t.place.id == "21")
-    off = np.array([0.5, 0.015])
-    at = inner.nominal + off
-    there, here = inner.matrices(at), inner.matrices(inner.nominal)
-    slopes = [(d.M, d.K) for d in inner.derivatives(at)]
-    fitted = changed(there.M, there.K, slopes, [(clamp.fitted.whole, np.array([TURN])),
-                     (mass.fitted.whole, np.array([0.1]))], off, here.M)  # fmt: skip
-    known = np.sqrt(eigh(fitted.stiffness, fitted.mass, eigvals_only=True)[:4]) / (2 * np.pi)
-    written = extend(inner, [gives(), entry("added-mass", "node", "21", mass=0.1)])
-    np.testing.assert_allclose(modes(written, np.append(at, [TURN, 0.1]), 4).frequency, known, rtol=1e-4)
+def fitted(inner, theta, entries):
+    """What the diagnosis fits of a structure at theta with entries of a model file."""
+    added = extend(inner, entries).added
+    terms = [in_structure(a.term, floats=False).fitted for a in added]
+    values = [np.array([p.nominal for p in a.parameters]) for a in added]
+    there, here = inner.matrices(theta), inner.matrices(inner.nominal)
+    slopes = [(d.M, d.K) for d in inner.derivatives(theta)]
+    changes = [(t.whole, v) for t, v in zip(terms, values, strict=True)]
+    gone = LetGo.of(inner, [c for c, _ in changes if isinstance(c, Freed)])
+    return changed(there.M, there.K, slopes, changes, theta - inner.nominal, here.M, gone), np.concatenate(values)
+
+
+FITTED = ("mass", "ground spring", "soft element", "soft element at the clamp", "tension", "shear")
+
+
+@pytest.mark.parametrize("axes", ["ry", "z", "z and ry"])
+@pytest.mark.parametrize("what", FITTED)
+def test_the_written_model_is_the_one_that_was_fitted(what, axes):
+    """Modes of the diagnosis's own matrices with a clamp that gives, something beside it, and other parameters."""
+    inner, entries = beam(), [gives(axes), BESIDE[what]]
+    theta = inner.nominal * np.array([1.05, 1.0])
+    made, own = fitted(inner, theta, entries)
+    known = np.sqrt(eigh(made.stiffness, made.mass, eigvals_only=True)[:4]) / (2 * np.pi)
+    written = extend(inner, entries)
+    np.testing.assert_allclose(modes(written, np.append(theta, own), 4).frequency, known, rtol=1e-4)
+
+
+@pytest.mark.parametrize("what", FITTED)
+def test_a_fit_knows_how_it_goes_on(what):
+    """Derivatives of the fit's matrices to the clamp's and the other's parameters, from differences."""
+    inner, entries = beam(), [gives("z and ry"), BESIDE[what]]
+    theta = inner.nominal * np.array([1.05, 1.0])
+    made, own = fitted(inner, theta, entries)
+    size = 1e-5 * own
+    for j, step in enumerate(np.diag(size)):
+        sides = []
+        for sign in (1, -1):
+            names = [list(e["parameters"]) for e in entries]
+            moved = own + sign * step
+            cut = np.split(moved, [len(names[0])])
+            there = [
+                e | {"parameters": dict(zip(n, v, strict=True))} for e, n, v in zip(entries, names, cut, strict=True)
+            ]
+            sides.append(fitted(inner, theta, there)[0])
+        for k, part in enumerate(("mass", "stiffness")):
+            true = (getattr(sides[0], part) - getattr(sides[1], part)) / (2 * size[j])
+            slope = made.slopes[len(theta) + j][k]
+            np.testing.assert_allclose(slope, true, atol=1e-6 * max(np.abs(true).max(), np.abs(slope).max(), 1e-9))
+
+
+def test_a_ground_spring_beside_a_clamp_in_the_fit():
+    """The beam on a turning spring with a spring at its tip, whose fit had the spring act beside the clamp's motion."""
+    spring = (Spring("1", rotational=1 / TURN), Spring(LAST, stiffness=500.0))
+    inner = beam()
+    made, _ = fitted(inner, inner.nominal, [gives(), BESIDE["ground spring"]])
+    known = np.sqrt(eigh(made.stiffness, made.mass, eigvals_only=True)[:4]) / (2 * np.pi)
+    theirs = beam("pinned", springs=spring)
+    np.testing.assert_allclose(modes(theirs, theirs.nominal, 4).frequency, known, rtol=1e-5)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.1])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 from labnnum.diagnosis.nonlinear.predict import padded, response
 from labnnum.diagnosis.nonlinear.run import Run
+from labnnum.errors import EstimationError
 from labnnum.recording import Recording
 
 ROUNDS, STEP = 4, 0.1
@@ -57,9 +58,20 @@ def started(
 
 
 def pulsed(run: Run, sizes: NDArray, top: float) -> Run:
-    """The run with pulses of the input, one after the other, that end where it begins."""
+    """The run with pulses of the input, one after the other, that end where it begins.
+
+    Raises
+    ------
+    EstimationError
+        If the run is shorter than they are.
+    """
     width = max(2, round(run.rate / top))
     shape = np.hanning(2 * width + 1)[1:]
+    if (len(sizes) + 1) * width > run.period:
+        raise EstimationError(
+            f"{len(sizes)} pulses of {width} samples need {(len(sizes) + 1) * width} samples before the record begins;"
+            f" it is {run.period} long in all: give a longer record, or one excited to higher frequencies"
+        )
     time = np.zeros(run.period)
     for i, size in enumerate(sizes):
         time[run.period - (i + 2) * width : run.period - (i + 2) * width + 2 * width] += size * shape
