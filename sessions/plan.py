@@ -112,7 +112,8 @@ def propose(structure: Structure, theta: NDArray, bands: Sequence[Any] = (), wis
     Raises
     ------
     ModelError
-        If no mode lies in the band, or a hammer is asked for and the model is driven by its base.
+        If the model is a rigid body, no mode lies in the band, or a hammer is asked for and the model is driven by its
+        base.
     """
     w = wishes or Wishes()
     if structure.base and w.excitation == "hammer":
@@ -162,7 +163,9 @@ class _Facts:
 
 def _modes(structure: Structure, theta: NDArray, w: Wishes) -> list[tuple[float, float]]:
     found = modes(structure, theta)
-    flexible = found.frequency > 1e-3 * found.frequency.max()
+    flexible = found.frequency > 0
+    if not flexible.any():
+        raise ModelError("the model only moves as a rigid body: no mode tells which band to measure")
     ratio = np.where(found.damping_ratio > 0, found.damping_ratio, w.damping)
     return [(float(f), float(z)) for f, z in zip(found.frequency[flexible], ratio[flexible], strict=True)]
 

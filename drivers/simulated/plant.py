@@ -162,6 +162,10 @@ class _Loaded(Structure):
         """As without sensors."""
         return self.bare.rigid(theta)
 
+    def held_load(self, theta: NDArray) -> NDArray:
+        """As without sensors."""
+        return self.bare.held_load(theta)
+
 
 def _with_sensor_masses(structure: Structure, theta: NDArray, inputs: Sequence[Input]) -> Structure:
     masses = []
@@ -234,13 +238,17 @@ def _on_stinger(out: System, row: NDArray, shaker: Shaker, gain: float, number: 
 
 
 def _on_table(out: System, structure: Structure, theta: NDArray, shaker: Shaker, gain: float) -> tuple[System, _Force]:
-    """The base's displacement as one more coordinate: the table that the structure's reaction pulls at."""
+    """The base's displacement as one more coordinate: the table that the structure's reaction pulls at.
+
+    What supports hold of the structure's mass moves with the table and counts as its own.
+    """
     if (out.displacement.any() or out.velocity.any()) or len(out.M) != len(structure.matrices(theta).M):
         raise ModelError("on a shaker table only accelerations can be simulated; measure accelerations")
     c, k = _armature(shaker)
     rigid = np.asarray(structure.rigid(theta), float)
-    M = bordered(out.M, shaker.mass + float(rigid @ out.M @ rigid))
-    M[-1, :-1] = M[:-1, -1] = out.M @ rigid
+    pushed = np.asarray(structure.base_load(theta), float)
+    M = bordered(out.M, shaker.mass + float(rigid @ (2 * pushed - out.M @ rigid)))
+    M[-1, :-1] = M[:-1, -1] = pushed
     load = np.zeros((len(M), 1))
     load[-1, 0] = gain
     zero = np.zeros(len(M))

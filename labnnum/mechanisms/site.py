@@ -32,7 +32,7 @@ def site_of(
     m = structure.matrices(theta)
     mass, stiffness = np.real(m.M), np.real(m.K)
     value, shape = natural_modes(mass, stiffness)
-    elastic = value > 1e-10 * value.max()
+    elastic = value > 0
     dofs = {d: np.real(structure.participation(d, theta)) for d in structure.dofs}
     nodes = tuple(dict.fromkeys(d.split(":")[0] for d in structure.dofs))
     rigid = np.real(structure.rigid(theta)) if structure.base else None

@@ -10,7 +10,9 @@ from typer.testing import CliRunner
 from labnnum.errors import ModelError
 from labnnum.recording import Channel
 from labnnum.response import frf, modes
+from labnnum.structures import Beam
 from labnnum.structures.chain import Chain, Link
+from labnnum.structures.section import Section
 from sessions.bench import measure
 from sessions.cli import app
 from sessions.plan import LINES, Wishes, propose
@@ -67,6 +69,20 @@ def test_promises(kind, purpose):
         np.testing.assert_allclose(np.diff(20 * np.log10(e["levels"])), 10, atol=0.1)
     assert all(made.reasons)
     assert made.seconds > 0
+
+
+def test_the_first_mode_counts_however_fine_the_mesh():
+    """Of sixty elements the highest frequency is over ten thousand times the first."""
+    beam = Beam(0.4, Section(EI=11.2, rhoA=0.324), 60, supports_at={"1": "clamped"})
+    found = modes(beam, beam.nominal).frequency
+    assert found[-1] > 1e4 * found[0]
+    assert propose(beam, beam.nominal, (), Wishes()).tables["excitation"]["low"] < found[0]
+
+
+def test_a_free_body_without_elastic_modes_is_told():
+    lone = Chain(masses={"1": 2.0}, links=())
+    with pytest.raises(ModelError, match="only moves as a rigid body"):
+        propose(lone, lone.nominal, (), Wishes())
 
 
 def test_the_highest_level_keeps_the_sensors_in_range():

@@ -29,7 +29,9 @@ from drivers.simulated.filters import HALF, Decimator, Interpolator
 from labnnum.errors import ChannelError, DeviceLostError, DeviceTimeoutError, DriverError, InputError
 from labnnum.recording import Channel
 from labnnum.response import frf
+from labnnum.structures import Beam
 from labnnum.structures.chain import Chain, Link
+from labnnum.structures.section import Section
 
 CHAIN = Chain(masses={"1": 2.0, "2": 1.0}, links=(Link("1", "ground", 8e5, 60.0), Link("1", "2", 5e5, 40.0)))
 BASED = replace(CHAIN, base="x")
@@ -163,6 +165,22 @@ def test_shaker_table_feels_the_structure():
     omega = 2 * np.pi * 40
     assert 5.0 < (10.0 / abs(low)) / (1 - (20 / 40) ** 2) < 5.0 + 3 * 3.0
     assert omega > 0
+
+
+@pytest.mark.parametrize("shaker", [None, Shaker(mass=0.5)])
+def test_what_a_support_holds_pushes_also_with_a_sensor_on_the_beam(shaker):
+    """Of coarse beams the mass that the clamp holds loads what is free, whether a table or an ideal base moves it."""
+    beam = Beam(0.4, Section(EI=11.2, rhoA=0.324), 3, supports_at={"1": "clamped"}, base="z")
+    base, tip = replace(BASE, direction="z"), Channel("a", "acceleration", node="4", direction="z")
+    f = np.linspace(5, 400, 200)
+    exact = frf(beam, [], f, [tip], [base])[0, 0]
+    made = plant(beam, [], [Input(base), Input(tip, mass=1e-9)], [Drive(base, 1.0, shaker)]).frf(f)
+    np.testing.assert_allclose(made[1, 0] / made[0, 0], exact, rtol=1e-5)
+    if shaker is not None:  # slowly, the table carries the beam as one mass, but for what the clamp has of its end
+        free = Shaker(mass=0.5, frequency=1e-3)
+        slow = plant(beam, [], [Input(base)], [Drive(base, 1.0, free)]).frf(np.array([0.2]))[0, 0, 0]
+        density, length = 0.324, 0.4
+        assert 1 / abs(slow) == pytest.approx(0.5 + density * (length - 156 / 420 * length / 3), rel=1e-3)
 
 
 def test_roving_hammer_moves_one_force_sensor():
