@@ -27,6 +27,8 @@ from labnnum.structures.modal import ModalStructure, Mode
 FREQUENCY_STAYS, DAMPING_STAYS = 0.01, 0.2
 """Relative change from one order to the next up to which a pole counts as stable."""
 
+IDENTIFIED = 1e-6
+"""What modes that were identified miss at least, by which they are known from those that were computed."""
 SMALLEST = 1e-6
 """Residue at the driven place, as a share of the largest, below which a mode is nodal there."""
 
@@ -104,7 +106,7 @@ def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
     if frf.estimator == "periodic" and frf.variance is not None:
         each = np.abs(h) ** 2 * frf.variance[:, 0] / np.maximum(np.abs(frf.value[:, 0]) ** 2, 1e-300)
         noise = float(np.mean(np.sum(each, axis=1) / power))
-    lack = float(np.sqrt(max(missed - noise, 0.0)))
+    lack = max(float(np.sqrt(max(missed - noise, 0.0))), IDENTIFIED)
     structure = ModalStructure(built, error=lack)
     return Identified(
         poles, damping, structure, float(np.sqrt(missed)), fitted, diagram, omega[nodal] / (2 * np.pi)

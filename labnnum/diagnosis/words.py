@@ -84,7 +84,10 @@ def _found(d: Diagnosis) -> str:
         values = ", ".join(
             f"{p.name} {v:.4g}{f' ± {_two(s)}' if s else ''} {p.unit if p.unit != '1' else ''}".strip()
             for p, v, s in zip(n.term.parameters, n.value, n.std, strict=True)
+            if p.name != "held"
         )
+        if any(p.name == "held" and v for p, v in zip(n.term.parameters, n.value, strict=True)):
+            values += " (the model, which was identified while it stuck, holds its spring already)"
         named = n.term.mechanism.id + (f" ({sense})" if sense else "")
         parts.append(f"{named} at {n.place}" + (f": {values}" if values else ""))
     creep = d.creep

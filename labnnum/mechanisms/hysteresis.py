@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
-from labnnum.mechanisms.nonlinear_law import NonlinearMechanism
+import numpy as np
+
+from labnnum.mechanisms.base import Term
+from labnnum.mechanisms.nonlinear_law import NonlinearMechanism, less_spring
+from labnnum.nonlinear import Element
 
 
 @final
 @dataclass(frozen=True)
 class Hysteresis(NonlinearMechanism):
-    """f = k h, dh/dz = 1 - (b sign(z' h) + 1 - b) |h/limit|^n."""
+    """f = k h, dh/dz = 1 - (b sign(z' h) + 1 - b) |h/limit|^n; with `held` less k z, which the model holds already."""
 
     id = "hysteresis"
     title = "gradual yielding (Bouc-Wen)"
@@ -20,7 +25,16 @@ class Hysteresis(NonlinearMechanism):
     told_apart = "stick-slip yields at once; n and b trade off"
     symbol = "loop"
     reference = "Wen (1976)"
-    names = ("k", "limit", "n", "beta_share")
-    units = ("N/m", "m", "1", "1")
+    names = ("k", "limit", "n", "beta_share", "held")
+    units = ("N/m", "m", "1", "1", "1")
     positive = True
     sides = False
+    defaults: ClassVar[dict[str, float]] = {"held": 0.0}
+    whole: ClassVar[dict[str, tuple[int, int]]] = {"held": (0, 1)}
+
+    def elements(self, term: Term, p: Sequence[float]) -> tuple[Element, ...]:
+        """The law, and off it what the structure holds."""
+        k, limit, n, share, held = (*(float(v) for v in p), 0.0)[:5]
+        column = np.asarray(term.data["column"], float)
+        law = Element("bouc-wen", column, (k, share / limit**n, (1 - share) / limit**n, n))
+        return (law, *less_spring(column, held * k))

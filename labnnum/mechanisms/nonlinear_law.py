@@ -82,11 +82,8 @@ class NonlinearMechanism(Mechanism):
 
     def elements(self, term: Term, p: Sequence[float]) -> tuple[Element, ...]:
         """The law of a term for `labnnum.nonlinear`, in its words: elements that act side by side."""
-        law = {"coulomb-friction": "coulomb", "hysteresis": "bouc-wen"}.get(self.id, self.id)
+        law = {"coulomb-friction": "coulomb"}.get(self.id, self.id)
         values = tuple(float(v) for v in p)
-        if self.id == "hysteresis":
-            k, limit, n, share = values
-            values = (k, share / limit**n, (1 - share) / limit**n, n)
         return (Element(law.removesuffix("-stiffness"), np.asarray(term.data["column"], float), values),)
 
     def sense(self, term: Term, p: NDArray) -> str | None:
@@ -94,6 +91,11 @@ class NonlinearMechanism(Mechanism):
         if self.positive:
             return None
         return "hardening" if p[0] > 0 else "softening"
+
+
+def less_spring(column: NDArray, spring: float) -> tuple[Element, ...]:
+    """What takes a spring off that the structure holds already; nothing where it holds none."""
+    return (Element("clearance", column, (-spring, 0.0)),) if spring else ()
 
 
 def of_angle(unit: str) -> str:

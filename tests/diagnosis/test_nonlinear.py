@@ -11,14 +11,17 @@ from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.discrete import growth, held
 from labnnum.diagnosis.nonlinear.explore import engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
-from labnnum.diagnosis.nonlinear.force import CODES
+from labnnum.diagnosis.nonlinear.force import CODES, HELD, count_of, odds_of, slips, solve_force
+from labnnum.diagnosis.nonlinear.force import YIELDING as YIELDS
 from labnnum.diagnosis.nonlinear.joined import levels, with_friction
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
+from labnnum.diagnosis.nonlinear.prescribed import along
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.mechanisms.base import Place
+from labnnum.mechanisms.hysteresis import Hysteresis
 from labnnum.mechanisms.stick_slip import StickSlip
 from labnnum.nonlinear import Element, NonlinearSimulation, part_of_limit
 from labnnum.parameters import Parameter
@@ -33,8 +36,10 @@ OUTPUTS = tuple(Channel(f"a{i}", "acceleration", "response", str(i), "x") for i 
 FORCE = Channel("f", "force", "reference", "3", "x")
 
 
-def chain(k1="k1"):
-    links = [Link("1", "ground", k1, 4.0)] + [Link(str(i), str(i + 1), 1000.0, 4.0) for i in range(1, 4)]
+def chain(k1="k1", middle=(1000.0, 4.0)):
+    """Four masses; `middle` is the link of the second and the third."""
+    links = [Link("1", "ground", k1, 4.0)]
+    links += [Link(str(i), str(i + 1), *(middle if i == 2 else (1000.0, 4.0))) for i in range(1, 4)]
     prior = (Parameter("k1", 1000.0, 700.0, 1300.0, "N/m", std=50.0),) if k1 == "k1" else ()
     return Chain({str(i): 1.0 for i in range(1, 5)}, tuple(links), prior)
 
@@ -127,25 +132,92 @@ def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
     assert np.linalg.norm((made - truth)[:, inside]) < close * np.linalg.norm(truth[:, inside])
 
 
+YIELDING = [row for row in LAWS if row[0] in ("stick-slip", "hysteresis", "sliders")]
+
+
 @pytest.mark.parametrize(
-    ("law", "p", "of"),
-    [
-        ("cubic", (3e4,), chain),
-        ("quadratic-damping", (2.0,), chain),
-        ("clearance", (500.0, 0.002), chain),
-        ("coulomb", (2.0,), chain),
-        ("coulomb", (2.0,), seated),
-        ("sliders", (400.0, 6.0, 0.7), chain),
-        ("sliders", (400.0, 6.0, 0.6, 3.0), chain),
-    ],
+    ("law", "p", "other", "q", "close"), YIELDING, ids=[f"{row[0]}-{len(row[1])}" for row in YIELDING]
 )
-def test_slopes_are_those_of_finite_steps(law, p, of):
+def test_what_was_identified_while_it_stuck_holds_the_spring(law, p, other, q, close):
+    """The law beside a structure that has its spring already, against the law with its spring on the one without."""
+    spectrum = multisine(25.0, 1)
+    stuck, bare = chain(middle=(1400.0, 5.6)), chain(middle=(1000.0, 5.6))
+    base, solver, parameters = steady(stuck, spectrum, law, p)
+    parameters[0, HELD] = 1.0
+    r = base.at(base.start())
+    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-6)
+    assert orbit.closing < 1e-4
+    linear = r.lift * (r.plain * spectrum)
+    made = linear + r.lift * (r.h * orbit.force).sum(axis=1)
+    elements = [Element(other, joint_23(), q)] if other else spread_sliders(*p)
+    truth = lines_of(marched(spectrum, elements, bare))
+    inside = slice(7, 150)
+    assert np.linalg.norm((truth - linear)[:, inside]) > 0.01 * np.linalg.norm(truth[:, inside])
+    assert np.linalg.norm((made - truth)[:, inside]) < close * np.linalg.norm(truth[:, inside])
+    whole = parameters[0, : 5 if law != "stick-slip" else 2]
+    if law == "stick-slip":
+        whole = np.append(whole, (0.0, 8.0, 1.0))
+    elif law == "sliders":
+        whole[3] = whole[3] or 8.0
+    of = Hysteresis() if law == "hysteresis" else StickSlip()
+    written = of.elements(of.term(Place("joint", "2", "3"), "x", joint_23()), whole)
+    again = lines_of(marched(spectrum, written, stuck))
+    assert np.linalg.norm((again - truth)[:, inside]) < 2e-3 * np.linalg.norm(truth[:, inside])
+
+
+@pytest.mark.parametrize("held", [0.0, 1.0])
+@pytest.mark.parametrize(("law", "p"), [row[:2] for row in YIELDING])
+def test_the_march_and_a_given_motion_have_one_force(law, p, held):
+    """Along a motion that starts from rest, and the same less the spring that the structure holds."""
+    t = np.linspace(0, 3, 3001)
+    z = 0.05 * np.sin(2 * np.pi * t) * (1 - np.exp(-t))
+    whole = np.zeros(10)
+    whole[: len(p)] = p
+    plain = along(CODES[law], z, np.gradient(z, t), whole, 1)
+    whole[HELD] = held
+    made = along(CODES[law], z, np.gradient(z, t), whole, 1)
+    np.testing.assert_allclose(made, plain - held * p[0] * z, atol=1e-12 * np.abs(plain).max())
+    memory, lp, d = np.zeros(8), np.empty(10), np.empty(6)
+    out = np.empty(z.size)
+    for i, at in enumerate(z):
+        f = solve_force(CODES[law], at, 0.0, 0.0, 0.0, False, whole, memory, 0.0, 0.0, 1.0, lp, d)
+        out[i] = -f
+        if law == "stick-slip":
+            if abs(p[0] * (at - memory[0])) > p[1]:
+                memory[0] = at - np.sign(at - memory[0]) * p[1] / p[0]
+        elif law == "hysteresis":
+            memory[:2] = at, held * at - f / p[0]
+        else:
+            for k in range(count_of(whole)):
+                if slips(k, at, whole, memory):
+                    memory[k] = at - np.sign(at - memory[k]) * p[1] * odds_of(k, whole) / p[0]
+    np.testing.assert_allclose(out, made, atol=1e-9 * np.abs(made).max())
+
+
+SLOPES = [
+    ("cubic", (3e4,), chain),
+    ("quadratic-damping", (2.0,), chain),
+    ("clearance", (500.0, 0.002), chain),
+    ("coulomb", (2.0,), chain),
+    ("coulomb", (2.0,), seated),
+    *((*row[:2], chain) for row in YIELDING),
+]
+
+
+@pytest.mark.parametrize(
+    ("law", "p", "of", "held"),
+    [*((*row, 0.0) for row in SLOPES), *((*row, 1.0) for row in SLOPES if row[0] in YIELDS)],
+)
+def test_slopes_are_those_of_finite_steps(law, p, of, held):
+    if held and law not in YIELDS:
+        pytest.skip("only what yields may be held by the structure")
     base, solver, parameters = steady(of(), multisine(25.0, 2), law, p)
+    parameters[0, HELD] = held
     x = base.start()
     r = base.at(x)
     orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-9)
     _, _, dz, dg = base.derivatives(x, r)
-    p = p[:3]  # how many sliders there are has no slope
+    p = p[:3] if law == "sliders" else p  # how many sliders there are has no slope
     vary = np.zeros((len(p), 1, 10))
     vary[np.arange(len(p)), 0, np.arange(len(p))] = 1.0
     _, slope = solver.slopes(r, parameters, orbit, (dz, dg), vary)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from labnnum.diagnosis.nonlinear.force import solve_force
+from labnnum.diagnosis.nonlinear.force import HELD, solve_force
 from labnnum.diagnosis.nonlinear.yielding import yielded, yields
 
 LIMIT, N, SHARE = 0.3, 1.7, 0.6
@@ -59,10 +59,21 @@ def test_slopes(step, h0):
 @pytest.mark.parametrize("k", [1.0, 1e3, 1e9])
 def test_a_force_agrees_with_the_motion_that_it_leaves(k):
     gz, z = 1e-3, 0.4
-    p, memory = np.array([k, LIMIT, N, SHARE]), np.array([0.1, 0.2])
+    p, memory = np.zeros(10), np.array([0.1, 0.2])
+    p[:4] = k, LIMIT, N, SHARE
     f = solve_force(7, z, 0.0, gz, 0.0, False, p, memory, 0.0, 0.0, 1.0, np.empty(10), np.empty(6))
     h = yielded(z + gz * f - memory[0], 0.0, memory[1], LIMIT, N, SHARE, np.empty(6))
     np.testing.assert_allclose(-f / k, h, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("k", [1.0, 100.0, 800.0])
+def test_so_does_one_whose_spring_the_structure_holds(k):
+    gz, z = 1e-3, 0.4
+    p, memory = np.zeros(10), np.array([0.1, 0.2])
+    p[:4], p[HELD] = (k, LIMIT, N, SHARE), 1.0
+    f = solve_force(7, z, 0.0, gz, 0.0, False, p, memory, 0.0, 0.0, 1.0, np.empty(10), np.empty(6))
+    h = yielded(z + gz * f - memory[0], 0.0, memory[1], LIMIT, N, SHARE, np.empty(6))
+    np.testing.assert_allclose(-f / k, h - (z + gz * f), rtol=1e-6, atol=1e-9)
 
 
 def test_a_stiff_law_is_found_to_the_last_digit_of_the_motion():

@@ -389,15 +389,15 @@ def _all_named(
             continue
         mechanism = MECHANISMS[t.name]
         value, std = last.law(i)
-        if t.mechanism == "sliders" and last.whole(i)[value.size]:  # how many they are is no matter of a fit
-            value, std = np.append(value, last.whole(i)[value.size]), np.append(std, 0.0)
-        n = min(len(mechanism.names), value.size)
+        n, whole = value.size, last.whole(i)
+        told = [*range(n), *(j for j in range(n, len(mechanism.names)) if whole[j])]  # what no fit moves, if any
+        value, std = whole[told], np.append(std, np.zeros(len(told) - n))
         term = mechanism.term(t.spot.place, t.spot.axis, t.spot.column)
-        term = replace(term, parameters=term.parameters[:n])
+        term = replace(term, parameters=tuple(term.parameters[j] for j in told))
         others = [r for r in rivals if (t.name, t.spot.place) not in r.all_of_it]
         trust = _confidence(best if (t.name, t.spot.place) in best.all_of_it else t, others) if i == 0 else 0.95
-        common = scale_std(mechanism.units[:n], value[:n], scatter, max(n_out, 1), based)
-        out.append(Named(term, value[:n], np.hypot(std[:n] * np.sqrt(excess), common), trust))
+        common = scale_std([mechanism.units[j] for j in told], value, scatter, max(n_out, 1), based)
+        out.append(Named(term, value, np.hypot(std * np.sqrt(excess), common), trust))
     return tuple(out)
 
 

@@ -37,6 +37,11 @@ LAWS: dict[str, tuple[str, ...]] = {
 CODES = {name: code for code, name in enumerate(LAWS)}
 N_P = 10
 """Room for the parameters of any law."""
+HELD = 4
+"""Number that laws which yield have besides, and no fit moves: the part of their spring k or k_t that the structure
+holds already, 0 or 1. With 1 they act as what they are less that spring: nothing while they stick."""
+YIELDING = ("stick-slip", "hysteresis", "sliders")
+"""Laws that have it."""
 
 
 def remembered(codes: Iterable[int]) -> int:
@@ -87,7 +92,8 @@ def _slide(z, p, memory, lp):  # pragma: no cover - compiled
             force += trial
             slope += spring
             lp[0] += (z - memory[i]) / n
-    return force, slope
+    lp[0] -= p[HELD] * z
+    return force - p[HELD] * p[0] * z, slope - p[HELD] * p[0]
 
 
 @njit(cache=True)
@@ -128,19 +134,21 @@ def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
         return p[0] * v * abs(v), 0.0, 2 * p[0] * abs(v)
     if code == 6:
         trial = p[0] * (z - memory[0])
+        spring = p[HELD] * p[0]
+        lp[0] = -p[HELD] * z
         if abs(trial) > p[1]:
             s = 1.0 if trial > 0 else -1.0
             lp[1] = s
-            return s * p[1], 0.0, 0.0
-        lp[0] = z - memory[0]
-        return trial, p[0], 0.0
+            return s * p[1] - spring * z, -spring, 0.0
+        lp[0] += z - memory[0]
+        return trial - spring * z, p[0] - spring, 0.0
     if code == 7:
         h = hysteretic(z, p, memory, d)
-        lp[0] = h
+        lp[0] = h - p[HELD] * z
         lp[1] = p[0] * d[2]
         lp[2] = p[0] * d[3]
         lp[3] = p[0] * d[4]
-        return p[0] * h, p[0] * d[0], 0.0
+        return p[0] * lp[0], p[0] * (d[0] - p[HELD]), 0.0
     if code == 9:
         force, slope = _slide(z, p, memory, lp)
         return force, slope, 0.0
@@ -199,7 +207,9 @@ def solve_force(code, z, v, gz, gv, seated, p, memory, last, guess, step, lp, d)
     if code == 4:
         return -p[0] * part_of_limit(v, max(gv, 0.0) * p[0], memory[0])
     if code == 7:
-        return -p[0] * yielded(z - memory[0], gz * p[0], memory[1], p[1], p[2], p[3], d)
+        more = 1.0 / max(1.0 - p[HELD] * p[0] * gz, 0.05)  # what is taken off the spring moves the place on
+        h = yielded(more * z - memory[0], more * gz * p[0], memory[1], p[1], p[2], p[3], d)
+        return -p[0] * (h - p[HELD] * more * (z - gz * p[0] * h))
     f, low, high = guess, -np.inf, np.inf
     for i in range(60):
         value, dz, dv = law(code, z + gz * f, v + gv * f, p, memory, lp, d)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from labnnum.diagnosis.nonlinear.force import (
+    HELD,
     count_of,
     hysteretic,
     law,
@@ -292,10 +293,11 @@ def march(
                             rhs[e, t] = -s * dp[e, 0, t]
                     continue
                 if code == 7 and p[e, 0] > 0.0:
-                    z, h = motion[step, e, 0], -new[e] / p[e, 0]
+                    z = motion[step, e, 0]
+                    h = p[e, HELD] * z - new[e] / p[e, 0]
                     yields(z - memory[e, 0], memory[e, 1], h, p[e, 1], p[e, 2], p[e, 3], of, d[e])
-                    lp[e, 0] = h
-                    fz[e], fv[e] = p[e, 0] * d[e, 0], 0.0
+                    lp[e, 0] = h - p[e, HELD] * z
+                    fz[e], fv[e] = p[e, 0] * (d[e, 0] - p[e, HELD]), 0.0
                     for i in range(3):
                         lp[e, i + 1] = p[e, 0] * d[e, i + 2]
                 else:
@@ -306,7 +308,7 @@ def march(
                     if lp[e, i] != 0.0:
                         for t in range(nt):
                             rhs[e, t] -= lp[e, i] * dp[e, i, t]
-                if code == 6 and fz[e] > 0.0:
+                if code == 6 and fz[e] + p[e, HELD] * p[e, 0] > 0.0:
                     for t in range(nt):
                         rhs[e, t] += p[e, 0] * dmem[e, 0, t]
                 elif code == 7:
@@ -362,8 +364,8 @@ def march(
                         for o in range(k):
                             dv += gv[e, o] * df[o, t]
                         dmem[e, 1 if seated[e] else 0, t] = dv
-                elif code == 6 and fz[e] == 0.0 and p[e, 0] > 0.0:
-                    s = -1.0 if new[e] > 0 else 1.0
+                elif code == 6 and fz[e] + p[e, HELD] * p[e, 0] == 0.0 and p[e, 0] > 0.0:
+                    s = 1.0 if motion[step, e, 0] > memory[e, 0] else -1.0
                     for t in range(nt):
                         dz = dsee[e, 0, t]
                         for o in range(k):
@@ -410,7 +412,7 @@ def march(
                     memory[e, 0] = z - np.sign(z - memory[e, 0]) * p[e, 1] / p[e, 0]
             elif code == 7:
                 z = motion[step, e, 0]
-                h = -new[e] / p[e, 0] if p[e, 0] > 0.0 else hysteretic(z, p[e], memory[e], d[e])
+                h = p[e, HELD] * z - new[e] / p[e, 0] if p[e, 0] > 0.0 else hysteretic(z, p[e], memory[e], d[e])
                 memory[e, 0] = z
                 memory[e, 1] = h
             elif code == 9 and p[e, 0] > 0.0:

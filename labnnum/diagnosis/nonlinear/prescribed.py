@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from labnnum.diagnosis.nonlinear.force import count_of, law, odds_of
+from labnnum.diagnosis.nonlinear.force import HELD, count_of, law, odds_of
 from labnnum.diagnosis.nonlinear.yielding import yielded
 
 
@@ -51,9 +51,9 @@ def _slid(z, p, turns):  # pragma: no cover - compiled
 def along(code, z, v, p, turns):  # pragma: no cover - compiled
     """Opposing force of a law along a prescribed motion (n,), passed through `turns` times; that of the last pass."""
     if code == 7:
-        return _loop(z, p, turns)
+        return _loop(z, p, turns) - p[HELD] * p[0] * z
     if code == 6:
-        return _slid(z, p, turns)
+        return _slid(z, p, turns) - p[HELD] * p[0] * z
     if code == 9:
         out = np.zeros(z.size)
         one = np.empty(2)
@@ -62,7 +62,7 @@ def along(code, z, v, p, turns):  # pragma: no cover - compiled
             one[0] = p[0] / n
             one[1] = p[1] / n * odds_of(i, p)
             out += _slid(z, one, turns)
-        return out
+        return out - p[HELD] * p[0] * z
     n = z.size
     out = np.empty(n)
     memory = np.zeros(2)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.nonlinear.force import N_P
+from labnnum.diagnosis.nonlinear.force import HELD, N_P, YIELDING
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
@@ -59,12 +59,24 @@ class Acting:
         return len(self.shape.names)
 
     def held(self, p: NDArray) -> NDArray[np.float64]:
-        """Those that are fitted, `p`, with what the law has beside them: the number of its sliders."""
+        """Those that are fitted, `p`, with what the law has beside them: the number of its sliders, and what of its
+        spring the structure holds.
+        """
         out = np.zeros(N_P)
         out[: self.n] = p
         if self.mechanism == "sliders":
             out[self.n] = self.start[self.n]
+        if self.shape.law in YIELDING:
+            out[HELD] = self.start[HELD]
         return out
+
+    def stuck(self) -> Acting:
+        """The same beside a structure that was identified while it stuck."""
+        if self.shape.law not in YIELDING:
+            return self
+        start = self.start.copy()
+        start[HELD] = 1.0
+        return replace(self, start=start)
 
 
 PASSIVE = 0.5
@@ -96,6 +108,8 @@ class Joint:
         lines: Sequence[Lines], whole: bool = False, closing: float = CLOSED, limit: float = np.inf,
     ) -> None:  # fmt: skip
         self.point, self.closing, self.limit = point, closing, limit
+        if isinstance(engine.structure, ModalStructure) and engine.structure.error > 0:
+            terms = [t.stuck() for t in terms]
         self.engine, self.runs, self.terms, self.scatter, self.lines = engine, tuple(runs), tuple(terms), scatter, lines
         n = engine.basis.shape[0]
         columns = np.array([t.column for t in terms]).T.reshape(n, len(terms))

@@ -1,0 +1,66 @@
+"""Sliders on a base that was identified while they stuck: they act as what their spring lacks once they slide."""
+
+import numpy as np
+import pytest
+
+from labnnum.diagnosis import diagnose, observe_all
+from labnnum.identification import identify
+from labnnum.mechanisms import extend
+from labnnum.nonlinear import Element
+from labnnum.recording import Channel, Recording
+
+from .test_nonlinear import FORCE, PERIOD, RATE, chain, joint_23, lines_of, multisine, spread_sliders
+from .test_nonlinear import marched as marched_at
+
+SENSORS = tuple(Channel(f"a{i}", "acceleration", "response", str(i), "x") for i in (1, 2, 3, 4))
+PLACES = {
+    "nodes": list("1234"), "elements": [(a, b) for a in "1234" for b in "1234" if a < b], "supports": [],
+}  # fmt: skip
+ONE = [Element("jenkins", joint_23(), (400.0, 6.0))]
+MANY = list(spread_sliders(400.0, 6.0, 0.8))
+
+
+def measured(elements, levels, noise, monkeypatch):
+    """Two realisations of four periods at each level, with noise relative to the level."""
+    monkeypatch.setattr("tests.diagnosis.test_nonlinear.OUTPUTS", SENSORS)
+    rng, out = np.random.default_rng(3), []
+    for level in levels:
+        for realisation in range(2):
+            spectrum = multisine(level, int(level * 100) + 7 * realisation)
+            y = np.fft.irfft(lines_of(marched_at(spectrum, elements, chain(middle=(1000.0, 5.6)))) * PERIOD / 2, PERIOD)
+            data = np.tile(np.vstack([np.fft.irfft(spectrum * PERIOD / 2, PERIOD), y]), 4)
+            data[1:] += noise * level * rng.standard_normal((4, data.shape[1]))
+            label = f"level {level:g} run {realisation}"
+            out.append(Recording((FORCE, *SENSORS), data, RATE, period=PERIOD, label=label))
+    return observe_all(out)
+
+
+@pytest.mark.parametrize(
+    ("elements", "levels", "known"),
+    [
+        (MANY, (0.3, 3.0, 9.0, 25.0), {"k_t": (400.0, 0.03), "F_s": (6.0, 0.03), "spread": (0.8, 0.05)}),
+        (ONE, (12.0, 18.0, 24.0, 30.0), {"k_t": (400.0, 0.1), "F_s": (6.0, 0.05)}),
+    ],
+    ids=["many that stick at the quietest level", "one that slides there too"],
+)
+def test_a_slider_is_named_and_measured_without_a_model(elements, levels, known, monkeypatch):
+    observations = measured(elements, levels, 0.02 if len(elements) > 1 else 1e-3, monkeypatch)
+    base = identify(observations[0].frf, 40).structure
+    assert base.error > 0
+    found = diagnose(base, observations, places=PLACES)
+    assert [(n.term.mechanism.id, str(n.place)) for n in found.named] == [("stick-slip", "joint 2-3")]
+    told = found.as_dict()["mechanism"]["parameters"]
+    assert told.pop("held") == {"value": 1.0, "std": 0.0, "unit": "1"}
+    assert set(told) == set(known)
+    for name, (value, close) in known.items():
+        assert told[name]["value"] == pytest.approx(value, rel=close)
+    assert found.extended_error[1] < 0.1 * found.base_error[1]
+    assert "identified while it stuck" in found.summary
+    assert "held" not in found.summary.split("(the model")[0].split("stick-slip")[1]
+    entry = {
+        "id": "stick-slip", "place": {"kind": "joint", "id": "2", "to": "3"}, "variant": found.named[0].term.variant,
+        "parameters": {**{k: v["value"] for k, v in told.items()}, "held": 1.0},
+    }  # fmt: skip
+    if base.error < 0.01:  # one that slid at its own level is no model of that
+        again = diagnose(extend(base, [entry]), observations, places=PLACES)
+        assert again.verdict in ("consistent", "parameters"), again.summary
