@@ -48,6 +48,7 @@ from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.places import Places
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.diagnosis.verdict import Diagnosis, Limits, Named
+from labnnum.identification import IDENTIFIED
 from labnnum.mechanisms import CATALOGUE
 from labnnum.structures.modal import ModalStructure
 
@@ -79,7 +80,7 @@ def nonlinear_first(
     nearly = 0.0
     if isinstance(engine.structure, ModalStructure):
         scatter = own_scatter(engine.structure.error)
-        nearly = NEARLY if engine.structure.error > 0 else 0.0
+        nearly = NEARLY if engine.structure.error > IDENTIFIED else 0.0
         miss = max(engine.structure.error, LEAST)
         train, test = ([missing(o, miss) for o in part] for part in (train, test))
     band = span or (float(engine.band[0] / 2 / np.pi), float(engine.band[1] / 2 / np.pi))
