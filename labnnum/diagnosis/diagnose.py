@@ -228,13 +228,14 @@ def _held(structure: Structure) -> list[Fault]:
 
 def _known(structure: Structure) -> list[Lead]:
     """Nonlinear laws that the structure holds."""
-    from labnnum.diagnosis.nonlinear.force import N_P
+    from labnnum.diagnosis.nonlinear.force import N_P, TOLD, YIELDING
     from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 
     out = []
     for law in structure.laws if isinstance(structure, ExtendedStructure) else ():
         p = np.zeros(N_P)
         p[: len(law.parameters)] = [q.nominal for q in law.parameters]
+        p[TOLD] = float(law.term.mechanism.id in YIELDING)
         term, column = law.term, np.asarray(law.term.data["column"], float)
         reverse = term.variant.startswith("-")
         spot = Spot(term.place, term.variant, -column if reverse else column)

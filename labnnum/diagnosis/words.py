@@ -87,7 +87,7 @@ def _found(d: Diagnosis) -> str:
             if p.name != "held"
         )
         if any(p.name == "held" and v for p, v in zip(n.term.parameters, n.value, strict=True)):
-            values += " (the model, which was identified while it stuck, holds its spring already)"
+            values += " (beside a base that is taken to hold its spring, since it was identified at the quietest level)"
         named = n.term.mechanism.id + (f" ({sense})" if sense else "")
         parts.append(f"{named} at {n.place}" + (f": {values}" if values else ""))
     creep = d.creep

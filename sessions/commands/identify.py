@@ -30,6 +30,7 @@ def identify(
     """
     import json
 
+    from labnnum.identification import IDENTIFIED
     from sessions.commands.printing import note
     from sessions.identify import identify_files
 
@@ -38,7 +39,7 @@ def identify(
         typer.echo(json.dumps(said))
         return
     error = f"error {100 * said['error']:.2g} %"
-    if said["beyond_noise"] > 0:
+    if said["beyond_noise"] > IDENTIFIED:
         error += f", {100 * said['beyond_noise']:.2g} % of it beyond noise (structure.error)"
     typer.echo(f"{said['model']}: {len(said['modes'])} modes of {said['recording']}, {error}")
     if said["clipped"]:

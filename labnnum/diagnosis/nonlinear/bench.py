@@ -15,7 +15,7 @@ from labnnum.diagnosis.nonlinear.laws import SHAPES
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Lead, Recovered, Spot
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
-from labnnum.diagnosis.nonlinear.problem import Acting, Joint, reduced
+from labnnum.diagnosis.nonlinear.problem import Acting, Joint, holds_springs, reduced
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.errors import EstimationError, ModelError
@@ -157,11 +157,13 @@ class Bench:
     def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int, *, soften: bool = True) -> Tried | None:
         """A law fitted by simulation from what the recovered motion promised, from several base vectors.
 
-        Of a slider one more is tried (`soften`): the first without the spring of what sticks, which it holds already.
+        Of a slider one more is tried (`soften`): the first without the spring of what sticks, which it holds already;
+        not where the base keeps it.
         Of a law that its strength alone makes, weaker ones (`WEAKER`) where no steady state is found: what a sensor far
         away shows of its place may be noise, and promise a law that carries the structure off.
         """
-        made = self._direct(starts, lead, steps, soften and lead.mechanism == "stick-slip")
+        soften = soften and lead.mechanism == "stick-slip" and not holds_springs(self.engine)
+        made = self._direct(starts, lead, steps, soften)
         if made is None and not SHAPES[lead.mechanism].inner:
             weaker = (self._direct(starts, replace(lead, p=part * lead.p), steps) for part in WEAKER)
             made = next((t for t in weaker if t is not None), None)

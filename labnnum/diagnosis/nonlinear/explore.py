@@ -17,7 +17,7 @@ from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.leads import law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import LINES, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Recovered, Spot, recover
-from labnnum.diagnosis.nonlinear.problem import Joint
+from labnnum.diagnosis.nonlinear.problem import Joint, holds_springs
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.stuck import spread_lead, stuck
 from labnnum.diagnosis.nonlinear.tempered import Contest, contest, relaxed
@@ -137,7 +137,8 @@ def explore(
             held = contest(bench, nominal, found, LAWS, leads, progress, look) if far else Contest()
             near, pairs = list(held.near), held.pairs
             if not strong and not pairs and (not near or near[0].made.data_part > LEAVES * base.data_part):
-                near = sorted([*near, *stuck(bench, quiet, found, HELD, LONG)], key=lambda t: t.cost)
+                sliders = [] if holds_springs(bench.engine) else stuck(bench, quiet, found, HELD, LONG)
+                near = sorted([*near, *sliders], key=lambda t: t.cost)
         best_of = (*pairs, *near)[:1]
         dry = bool(best_of) and best_of[0].made.data_part < LEAVES * base.data_part
         if strong and not (dry or shown):
@@ -155,7 +156,7 @@ def explore(
             best = Prospect(bench, calm, base, tuple(found), tuple(near), tuple(leads), pairs, sought, seen)
         if dry or shown or (near and near[0].made.data_part < MISLED * near[0].made.count):
             break
-    if best is not None and carry_on and not misled and best.level > MISLED:
+    if best is not None and carry_on and not misled and best.level > MISLED and not holds_springs(bench.engine):
         # a slider that sticks at the quietest level is a spring, which a base with free stiffness takes for its own
         sliders = stuck(bench, quiet, best.recovered, HELD, LONG)
         best = replace(best, near=tuple(sorted([*best.near, *sliders], key=lambda t: t.cost)))

@@ -40,6 +40,8 @@ N_P = 10
 HELD = 4
 """Number that laws which yield have besides, and no fit moves: the part of their spring k or k_t that the structure
 holds already, 0 or 1. With 1 they act as what they are less that spring: nothing while they stick."""
+TOLD = 5
+"""Whether a file says so, or that it holds none: then it is not asked what kind of structure it is."""
 YIELDING = ("stick-slip", "hysteresis", "sliders")
 """Laws that have it."""
 
@@ -80,20 +82,22 @@ def _slide(z, p, memory, lp):  # pragma: no cover - compiled
     force, slope = 0.0, 0.0
     n = count_of(p)
     spring, mean = p[0] / n, p[1] / n
+    rest = 1.0 - p[HELD]
     for i in range(n):
         odds = odds_of(i, p)
         trial, limit = spring * (z - memory[i]), mean * odds
         if abs(trial) > limit:
             s = 1.0 if trial > 0 else -1.0
-            force += s * limit
+            force += s * limit - p[HELD] * spring * z
+            slope -= p[HELD] * spring
             lp[1] += s * odds / n
             lp[2] += s * mean * part_of(i, p)
         else:
-            force += trial
-            slope += spring
+            force += spring * (rest * z - memory[i])
+            slope += spring * rest
             lp[0] += (z - memory[i]) / n
     lp[0] -= p[HELD] * z
-    return force - p[HELD] * p[0] * z, slope - p[HELD] * p[0]
+    return force, slope
 
 
 @njit(cache=True)
@@ -141,7 +145,8 @@ def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
             lp[1] = s
             return s * p[1] - spring * z, -spring, 0.0
         lp[0] += z - memory[0]
-        return trial - spring * z, p[0] - spring, 0.0
+        rest = 1.0 - p[HELD]
+        return p[0] * (rest * z - memory[0]), p[0] * rest, 0.0
     if code == 7:
         h = hysteretic(z, p, memory, d)
         lp[0] = h - p[HELD] * z
@@ -207,7 +212,7 @@ def solve_force(code, z, v, gz, gv, seated, p, memory, last, guess, step, lp, d)
     if code == 4:
         return -p[0] * part_of_limit(v, max(gv, 0.0) * p[0], memory[0])
     if code == 7:
-        more = 1.0 / max(1.0 - p[HELD] * p[0] * gz, 0.05)  # what is taken off the spring moves the place on
+        more = 1.0 / max(1.0 - p[HELD] * p[0] * gz, 1e-9)  # what is taken off the spring moves the place on
         h = yielded(more * z - memory[0], more * gz * p[0], memory[1], p[1], p[2], p[3], d)
         return -p[0] * (h - p[HELD] * more * (z - gz * p[0] * h))
     f, low, high = guess, -np.inf, np.inf

@@ -308,7 +308,7 @@ def march(
                     if lp[e, i] != 0.0:
                         for t in range(nt):
                             rhs[e, t] -= lp[e, i] * dp[e, i, t]
-                if code == 6 and fz[e] + p[e, HELD] * p[e, 0] > 0.0:
+                if code == 6 and abs(p[e, 0] * (motion[step, e, 0] - memory[e, 0])) <= p[e, 1]:
                     for t in range(nt):
                         rhs[e, t] += p[e, 0] * dmem[e, 0, t]
                 elif code == 7:
@@ -364,7 +364,7 @@ def march(
                         for o in range(k):
                             dv += gv[e, o] * df[o, t]
                         dmem[e, 1 if seated[e] else 0, t] = dv
-                elif code == 6 and fz[e] + p[e, HELD] * p[e, 0] == 0.0 and p[e, 0] > 0.0:
+                elif code == 6 and p[e, 0] > 0.0 and abs(p[e, 0] * (motion[step, e, 0] - memory[e, 0])) > p[e, 1]:
                     s = 1.0 if motion[step, e, 0] > memory[e, 0] else -1.0
                     for t in range(nt):
                         dz = dsee[e, 0, t]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
-from labnnum.diagnosis.nonlinear.force import HELD, N_P, YIELDING
+from labnnum.diagnosis.nonlinear.force import HELD, N_P, TOLD, YIELDING
 from labnnum.diagnosis.nonlinear.laws import SHAPES, LawShape
 from labnnum.diagnosis.nonlinear.lines import Lines
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Orbit
@@ -20,6 +20,7 @@ from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
 from labnnum.diagnosis.objective import frequency_spread
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.mechanisms.extended import ExtendedStructure
 from labnnum.structures.modal import ModalStructure
 from labnnum.threads import each
 
@@ -67,12 +68,12 @@ class Acting:
         if self.mechanism == "sliders":
             out[self.n] = self.start[self.n]
         if self.shape.law in YIELDING:
-            out[HELD] = self.start[HELD]
+            out[HELD], out[TOLD] = self.start[HELD], self.start[TOLD]
         return out
 
     def stuck(self) -> Acting:
-        """The same beside a structure that was identified while it stuck."""
-        if self.shape.law not in YIELDING:
+        """The same beside a structure that was identified while it stuck, unless a file says what it holds."""
+        if self.shape.law not in YIELDING or self.start[TOLD]:
             return self
         start = self.start.copy()
         start[HELD] = 1.0
@@ -96,6 +97,14 @@ WARM = 3
 """Periods marched before Newton's method where nothing is known of the steady state."""
 
 
+def holds_springs(engine: Engine) -> bool:
+    """Whether the structure was identified, from what sticks at its level: it holds the springs of what yields."""
+    structure = engine.structure
+    while isinstance(structure, ExtendedStructure):
+        structure = structure.inner
+    return isinstance(structure, ModalStructure) and structure.error > 0
+
+
 class Joint:
     """The objective: runs, laws and the scatter of a sound model; `whole` where responses are wanted on all lines.
 
@@ -108,7 +117,7 @@ class Joint:
         lines: Sequence[Lines], whole: bool = False, closing: float = CLOSED, limit: float = np.inf,
     ) -> None:  # fmt: skip
         self.point, self.closing, self.limit = point, closing, limit
-        if isinstance(engine.structure, ModalStructure) and engine.structure.error > 0:
+        if holds_springs(engine):
             terms = [t.stuck() for t in terms]
         self.engine, self.runs, self.terms, self.scatter, self.lines = engine, tuple(runs), tuple(terms), scatter, lines
         n = engine.basis.shape[0]
