@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
+from scipy.stats import f as fisher
 
 from labnnum.errors import EstimationError
 from labnnum.frf import MOTION_ORDER, Frf
@@ -27,6 +28,8 @@ from labnnum.structures.modal import ModalStructure, Mode
 FREQUENCY_STAYS, DAMPING_STAYS = 0.01, 0.2
 """Relative change from one order to the next up to which a pole counts as stable."""
 
+CHANCE = 1e-4
+"""Chance with which a mode beside the band is taken for needed where there is none."""
 IDENTIFIED = 1e-6
 """What modes that were identified miss at least, by which they are known from those that were computed."""
 SMALLEST = 1e-6
@@ -93,7 +96,7 @@ def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
     if not len(poles):
         raise EstimationError("no pole is stable from order to order: raise the order or narrow the band")
     poles, damping = _refined(frf.omega, h, weight, poles)
-    omega, zeta, residue, nodal = _scaled(frf.omega, h, weight, poles, damping, dofs.index(drive))
+    omega, zeta, residue, nodal = _scaled(frf, h, weight, poles, damping, dofs.index(drive))
     shape = residue / np.sqrt(residue[:, [dofs.index(drive)]])
     built = tuple(
         Mode(float(w / 2 / np.pi), float(z), {d: float(v) for d, v in zip(dofs, row, strict=True)})
@@ -129,6 +132,14 @@ def _weight(frf: Frf, h: NDArray) -> NDArray[np.float64]:
     )
     spread = np.sqrt(relative**2 + 0.01**2) * size + 0.02 * np.sqrt(np.mean(size**2, axis=1, keepdims=True)) * 0.2
     return 1.0 / spread
+
+
+def _noise(frf: Frf, h: NDArray) -> NDArray[np.float64]:
+    """One over the standard deviation of the receptances; where it is not stated, of a hundredth of the response."""
+    if frf.variance is None:
+        return _weight(frf, h)
+    relative = np.sqrt(frf.variance[:, 0]) / np.maximum(np.abs(frf.value[:, 0]), 1e-300)
+    return 1.0 / np.maximum(relative * np.abs(h), 1e-9 * np.abs(h).max())
 
 
 # -------------------------------------------------------------------- poles
@@ -221,18 +232,23 @@ def _residues(omega: NDArray, h: NDArray, weight: NDArray, mode: NDArray, zeta: 
 
 
 def _scaled(
-    omega: NDArray, h: NDArray, weight: NDArray, poles: NDArray, damping: NDArray, at: int
+    frf: Frf, h: NDArray, weight: NDArray, poles: NDArray, damping: NDArray, at: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Frequencies in rad/s, damping ratios and residues (n, n_out) that a structure can have, and which are nodal.
 
-    Those of the driven place, row `at`, are positive. A mode beside the band that would need a negative one is left
-    out. In the band such a mode gets the residue that makes its shape as large as the others' are in the median, its
-    standard deviation at most, or more where that fits better; the others' residues at the drive are fitted anew.
+    Those of the driven place, row `at`, are positive. A mode beside the band that would need a negative one, or that
+    noise may have made, is left out. In the band such a mode gets the residue that makes its shape as large as the
+    others' are in the median, its standard deviation at most, or more where that fits better; the others' residues at
+    the drive are fitted anew.
     """
+    omega = frf.omega
     low, high = 0.35 * omega[0], 3.0 * omega[-1]
     mode = np.concatenate([[low], 2 * np.pi * poles, [high]])
     zeta = np.concatenate([[0.05], damping, [0.05]])
     beside = np.arange(mode.size) % (mode.size - 1) == 0
+    for i in (mode.size - 1, 0):
+        if not _needed(omega, h, _noise(frf, h), mode, zeta, i):
+            mode, zeta, beside = (np.delete(a, i) for a in (mode, zeta, beside))
     residue = _residues(omega, h, weight, mode, zeta)
     keep = ~beside | (residue[:, at] > 0)
     mode, zeta, residue, beside = mode[keep], zeta[keep], residue[keep], beside[keep]
@@ -251,6 +267,23 @@ def _scaled(
         scale = np.linalg.norm(a, axis=0)
         residue[:, at] = lsq_linear(a / scale, b, (least * scale, np.inf)).x / scale
     return mode, zeta, residue, nodal & ~beside
+
+
+def _needed(omega: NDArray, h: NDArray, weight: NDArray, mode: NDArray, zeta: NDArray, i: int) -> bool:
+    """Whether mode i explains more than chance lets one of as many residues explain.
+
+    A mode beside the band that is none is small in the band and large at rest, where laws with a mean push.
+    """
+
+    def left(keep: NDArray) -> float:
+        own = _residues(omega, h, weight, mode[keep], zeta[keep])
+        return float(np.sum(np.abs((h - own.T @ _basis(omega, mode[keep], zeta[keep])) * weight) ** 2))
+
+    every = np.arange(mode.size)
+    whole, without = left(every), left(np.delete(every, i))
+    free = max(2 * h.size - h.shape[0] * mode.size, 1)
+    noise = max(whole / free, 0.5)  # of a real value, and no less than that by which it is weighed
+    return bool(fisher.sf((without - whole) / h.shape[0] / noise, h.shape[0], free) < CHANCE)
 
 
 def _refined(

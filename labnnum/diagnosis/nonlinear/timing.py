@@ -27,6 +27,8 @@ CELLS = 12
 """Cells of the motion, and of its rate, of equal count each."""
 GUARD = 1.3
 """Frequency, of the highest excited one, from which on a response counts as distortion."""
+LEADS = 2.0
+"""Share of the first place, of that of the second, from which the timing tells the place."""
 HEARD = 4.0
 """Power of the distortion, of the noise that the periods show there, from which on it is looked at."""
 
@@ -81,8 +83,13 @@ def timing(observations: Sequence[Observation], spots: Sequence[Spot]) -> list[T
 
 
 def told(timed: Sequence[Timed], limits: Limits) -> bool:
-    """Whether the first place leads every other by what a name needs."""
-    return len(timed) > 1 and timed[0].gain > limits.alarm and timed[0].gain - timed[1].gain > limits.name
+    """Whether the first place leads every other by what a name needs, and explains far more than the second.
+
+    What a smooth law throws above the band comes through the structure's modes there, and follows no place for long.
+    """
+    if len(timed) < 2 or timed[0].share < LEADS * timed[1].share:
+        return False
+    return timed[0].gain > limits.alarm and timed[0].gain - timed[1].gain > limits.name
 
 
 @dataclass(frozen=True, eq=False)
