@@ -103,6 +103,24 @@ def test_a_mode_nearly_nodal_at_the_drive_is_told_and_no_larger_than_the_scatter
     assert abs(mode.shape["2:x"]) < 10
 
 
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_modes_beside_the_band_stand_only_for_what_is_there(noise):
+    """Of a structure with three modes none is left over; of the same lines without the first, one below the band is."""
+    low = np.linspace(0.5, 12.0, 460)
+    structure = chain()
+    for lines, beside in ((low, 0), (low[low > 1.3 * exact()[0][0]], 1)):
+        for seed in range(4):
+            value = model_frf(structure, structure.nominal, lines, OUTPUTS, FORCE)
+            normal = np.random.default_rng(seed).standard_normal((2, *value.shape)) / np.sqrt(2)
+            size = noise * np.sqrt(np.mean(np.abs(value) ** 2))
+            measured = value + size * (normal[0] + 1j * normal[1])
+            variance = np.full(value.shape, size**2)
+            found = identify(Frf(lines, measured, OUTPUTS, FORCE, variance=variance), 24)
+            below = [m.frequency for m in found.structure.modes if m.frequency < lines[0]]
+            assert len(below) == beside
+            assert beside or len(found.structure.modes) == 3
+
+
 def test_lscf_of_a_low_order_comes_near_the_poles():
     value = receptance_of(measured())
     poles = np.array(lscf(2 * np.pi * LINES, value, 12))

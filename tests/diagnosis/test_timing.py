@@ -11,7 +11,7 @@ from labnnum.diagnosis.nonlinear.identified import own_scatter
 from labnnum.diagnosis.nonlinear.joined import records
 from labnnum.diagnosis.nonlinear.lines import choose_lines
 from labnnum.diagnosis.nonlinear.locate import Spot
-from labnnum.diagnosis.nonlinear.timing import timing, told
+from labnnum.diagnosis.nonlinear.timing import Timed, timing, told
 from labnnum.diagnosis.observe import excited_lines, observe
 from labnnum.diagnosis.verdict import Limits
 from labnnum.mechanisms.base import Place
@@ -61,6 +61,14 @@ def test_the_run_that_distorts_most_decides():
     faint = rattling((2,), seed=3, size=0.01)
     loud = rattling((1, 2), seed=4)
     assert timing([faint, loud], spots())[0].spot.place == Place("joint", "2", "3")
+
+
+def test_a_place_is_told_by_twice_what_the_next_one_explains():
+    """A smooth law's distortion, through the structure's own modes, follows every place a little."""
+    first, second = spots()[:2]
+    for share, clear in ((0.26, True), (0.18, False)):
+        timed = [Timed(first, share, 90.0), Timed(second, 0.12, 40.0)]
+        assert told(timed, Limits()) == clear
 
 
 def test_without_distortion_nothing_is_told():
