@@ -262,7 +262,7 @@ def _scaled(
         scatter = np.linalg.norm(np.linalg.pinv(a), axis=1) * np.sqrt(np.mean((a @ own - b) ** 2))
         others = np.linalg.norm(np.delete(residue, at, axis=1), axis=1)
         usual = np.median((others / np.sqrt(np.abs(own)))[~nodal]) if not nodal.all() else np.inf
-        wanted = np.minimum(scatter, (others / usual) ** 2)
+        wanted = np.minimum(scatter, (others / usual) ** 2) if usual > 0 else scatter  # with a sensor elsewhere
         least[nodal] = np.clip(wanted[nodal], least[nodal], np.abs(own).max())
         scale = np.linalg.norm(a, axis=0)
         residue[:, at] = lsq_linear(a / scale, b, (least * scale, np.inf)).x / scale

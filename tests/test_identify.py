@@ -1,6 +1,7 @@
 """Modal identification: exact on modes, robust to noise, and as a command."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,6 +102,14 @@ def test_a_mode_nearly_nodal_at_the_drive_is_told_and_no_larger_than_the_scatter
     (mode,) = (m for m in found.structure.modes if abs(m.frequency - 6) < 0.1)
     assert mode.shape["1:x"] * mode.shape["2:x"] == pytest.approx(0.05, rel=0.05)
     assert abs(mode.shape["2:x"]) < 10
+
+
+def test_a_mode_nearly_nodal_at_the_only_sensor_has_a_size():
+    """No other sensor tells how large it is."""
+    frf = measured_beside(0.05, -0.02, 1e-3)
+    found = identify(replace(frf, value=frf.value[:1], variance=frf.variance[:1], outputs=frf.outputs[:1]), 24)
+    assert all(np.isfinite(v) for m in found.structure.modes for v in m.shape.values())
+    assert found.error < 0.02
 
 
 @pytest.mark.parametrize("noise", [0.002, 0.02])
