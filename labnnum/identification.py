@@ -28,6 +28,8 @@ from labnnum.structures.modal import ModalStructure, Mode
 FREQUENCY_STAYS, DAMPING_STAYS = 0.01, 0.2
 """Relative change from one order to the next up to which a pole counts as stable."""
 
+HIDES = 0.01
+"""Power of the noise in a line, of the response there, from which on the line does not tell what modes miss."""
 CHANCE = 1e-4
 """Chance with which a mode beside the band is taken for needed where there is none."""
 IDENTIFIED = 1e-6
@@ -103,17 +105,26 @@ def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
         for w, z, row in zip(omega, zeta, shape, strict=True)
     )
     fitted = (shape * shape[:, [dofs.index(drive)]]).T @ _basis(frf.omega, omega, zeta)
-    power = np.sum(np.abs(h) ** 2, axis=1)
-    missed = float(np.mean(np.sum(np.abs(fitted - h) ** 2, axis=1) / power))
-    noise = missed  # what a window leaks is no lack of the modes
-    if frf.estimator == "periodic" and frf.variance is not None:
-        each = np.abs(h) ** 2 * frf.variance[:, 0] / np.maximum(np.abs(frf.value[:, 0]) ** 2, 1e-300)
-        noise = float(np.mean(np.sum(each, axis=1) / power))
-    lack = max(float(np.sqrt(max(missed - noise, 0.0))), IDENTIFIED)
-    structure = ModalStructure(built, error=lack)
-    return Identified(
-        poles, damping, structure, float(np.sqrt(missed)), fitted, diagram, omega[nodal] / (2 * np.pi)
-    )  # fmt: skip
+    missed, power = np.abs(fitted - h) ** 2, np.abs(h) ** 2
+    structure = ModalStructure(built, error=max(_lack(frf, missed, power), IDENTIFIED))
+    error = float(np.sqrt(np.mean(missed.sum(axis=1) / power.sum(axis=1))))
+    return Identified(poles, damping, structure, error, fitted, diagram, omega[nodal] / (2 * np.pi))
+
+
+def _lack(frf: Frf, missed: NDArray, power: NDArray) -> float:
+    """What modes miss beyond noise, relative, of squares (n_out, n_f) of what they miss and of the receptances.
+
+    Without lines that noise hides: of displacements those next to rest are the largest, and the least known. What a
+    window leaks is no lack of the modes.
+    """
+    if frf.estimator != "periodic" or frf.variance is None:
+        return 0.0
+    noise = power * frf.variance[:, 0] / np.maximum(np.abs(frf.value[:, 0]) ** 2, 1e-300)
+    clear = noise.sum(axis=0) < HIDES * power.sum(axis=0)
+    if 2 * np.count_nonzero(clear) < clear.size:
+        clear[:] = True
+    beyond = (missed - noise)[:, clear].sum(axis=1) / power[:, clear].sum(axis=1)
+    return float(np.sqrt(max(np.mean(beyond), 0.0)))
 
 
 def receptance_of(frf: Frf) -> NDArray[np.complex128]:
