@@ -96,6 +96,17 @@ def steady(structure, spectrum, law, p, place=None):
     return base, Steady(run, np.array([CODES[law]]), 4), parameters
 
 
+def answered(structure, spectrum, law, p, held=0.0):
+    """Responses (n_out, n_lines) without the law and with it, in the steady state."""
+    base, solver, parameters = steady(structure, spectrum, law, p)
+    parameters[0, HELD] = held
+    r = base.at(base.start())
+    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-6)
+    assert orbit.closing < 1e-4
+    linear = r.lift * (r.plain * spectrum)
+    return linear, linear + r.lift * (r.h * orbit.force).sum(axis=1)
+
+
 LAWS = [
     ("cubic", (3e4,), "cubic", (3e4,), 2e-3),
     ("quadratic", (3e3,), "quadratic", (3e3,), 2e-3),
@@ -118,12 +129,7 @@ def spread_sliders(*p):
 @pytest.mark.parametrize(("law", "p", "other", "q", "close"), LAWS, ids=[f"{row[0]}-{len(row[1])}" for row in LAWS])
 def test_a_steady_state_is_where_a_long_march_ends(law, p, other, q, close):
     structure, spectrum = chain(), multisine(25.0, 1)
-    base, solver, parameters = steady(structure, spectrum, law, p)
-    r = base.at(base.start())
-    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-6)
-    assert orbit.closing < 1e-4
-    linear = r.lift * (r.plain * spectrum)
-    made = linear + r.lift * (r.h * orbit.force).sum(axis=1)
+    linear, made = answered(structure, spectrum, law, p)
     elements = [Element(other, joint_23(), q)] if other else spread_sliders(*p)
     truth = lines_of(marched(spectrum, elements, structure))
     inside = slice(7, 150)
@@ -142,23 +148,13 @@ def test_what_was_identified_while_it_stuck_holds_the_spring(law, p, other, q, c
     """The law beside a structure that has its spring already, against the law with its spring on the one without."""
     spectrum = multisine(25.0, 1)
     stuck, bare = chain(middle=(1400.0, 5.6)), chain(middle=(1000.0, 5.6))
-    base, solver, parameters = steady(stuck, spectrum, law, p)
-    parameters[0, HELD] = 1.0
-    r = base.at(base.start())
-    orbit = solver.settle(r, parameters, solver.guess(r, np.zeros((solver.n, 1))), 25, 1e-6)
-    assert orbit.closing < 1e-4
-    linear = r.lift * (r.plain * spectrum)
-    made = linear + r.lift * (r.h * orbit.force).sum(axis=1)
+    linear, made = answered(stuck, spectrum, law, p, held=1.0)
     elements = [Element(other, joint_23(), q)] if other else spread_sliders(*p)
     truth = lines_of(marched(spectrum, elements, bare))
     inside = slice(7, 150)
     assert np.linalg.norm((truth - linear)[:, inside]) > 0.01 * np.linalg.norm(truth[:, inside])
     assert np.linalg.norm((made - truth)[:, inside]) < close * np.linalg.norm(truth[:, inside])
-    whole = parameters[0, : 5 if law != "stick-slip" else 2]
-    if law == "stick-slip":
-        whole = np.append(whole, (0.0, 8.0, 1.0))
-    elif law == "sliders":
-        whole[3] = whole[3] or 8.0
+    whole = [*p, *{"stick-slip": (0.0, 8.0), "hysteresis": (), "sliders": (8.0,)[len(p) - 3 :]}[law], 1.0]
     of = Hysteresis() if law == "hysteresis" else StickSlip()
     written = of.elements(of.term(Place("joint", "2", "3"), "x", joint_23()), whole)
     again = lines_of(marched(spectrum, written, stuck))
