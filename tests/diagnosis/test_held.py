@@ -9,18 +9,16 @@ from labnnum.diagnosis.nonlinear.force import HELD
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.identification import identify
 from labnnum.mechanisms import extend
-from labnnum.nonlinear import Element
 from labnnum.recording import Channel, Recording
 from labnnum.structures.modal import ModalStructure, Mode
 
-from .test_nonlinear import FORCE, PERIOD, RATE, chain, joint_23, lines_of, multisine, spread_sliders
+from .test_nonlinear import FORCE, PERIOD, RATE, chain, lines_of, multisine, spread_sliders
 from .test_nonlinear import marched as marched_at
 
 SENSORS = tuple(Channel(f"a{i}", "acceleration", "response", str(i), "x") for i in (1, 2, 3, 4))
 PLACES = {
     "nodes": list("1234"), "elements": [(a, b) for a in "1234" for b in "1234" if a < b], "supports": [],
 }  # fmt: skip
-ONE = [Element("jenkins", joint_23(), (400.0, 6.0))]
 MANY = list(spread_sliders(400.0, 6.0, 0.8))
 
 
@@ -53,16 +51,9 @@ def test_a_law_of_a_file_acts_as_the_file_says(held):
     assert sought.acting().stuck().held(np.array([400.0, 6.0]))[HELD] == 1.0
 
 
-@pytest.mark.parametrize(
-    ("elements", "levels", "known"),
-    [
-        (MANY, (0.3, 3.0, 9.0, 25.0), {"k_t": (400.0, 0.03), "F_s": (6.0, 0.03), "spread": (0.8, 0.05)}),
-        (ONE, (12.0, 18.0, 24.0, 30.0), {"k_t": (400.0, 0.1), "F_s": (6.0, 0.05)}),
-    ],
-    ids=["many that stick at the quietest level", "one that slides there too"],
-)
-def test_a_slider_is_named_and_measured_without_a_model(elements, levels, known, monkeypatch):
-    observations = measured(elements, levels, 0.02 if len(elements) > 1 else 1e-3, monkeypatch)
+def test_sliders_are_named_and_measured_without_a_model(monkeypatch):
+    observations = measured(MANY, (0.3, 3.0, 9.0, 25.0), 0.02, monkeypatch)
+    known = {"k_t": (400.0, 0.03), "F_s": (6.0, 0.03), "spread": (0.8, 0.05)}
     base = identify(observations[0].frf, 40).structure
     assert base.error > 0
     found = diagnose(base, observations, places=PLACES)
@@ -79,6 +70,5 @@ def test_a_slider_is_named_and_measured_without_a_model(elements, levels, known,
         "id": "stick-slip", "place": {"kind": "joint", "id": "2", "to": "3"}, "variant": found.named[0].term.variant,
         "parameters": {**{k: v["value"] for k, v in told.items()}, "held": 1.0},
     }  # fmt: skip
-    if base.error < 0.01:  # one that slid at its own level is no model of that
-        again = diagnose(extend(base, [entry]), observations, places=PLACES)
-        assert again.verdict in ("consistent", "parameters"), again.summary
+    again = diagnose(extend(base, [entry]), observations, places=PLACES)
+    assert again.verdict in ("consistent", "parameters"), again.summary
