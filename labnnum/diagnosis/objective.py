@@ -62,6 +62,8 @@ def frequency_spread(engine: Engine, scatter: Scatter) -> NDArray[np.float64]:
     return np.hypot(scatter.frequency, share * engine.mesh_shift)
 
 
+NUDGE = 1e-4
+"""Step, in standard deviations of a parameter alone, by which the marginalised columns' derivatives are taken."""
 LOOSE = 40.0
 """A loose channel's errors over the ordinary ones: shapes and gain by more than half of themselves."""
 
@@ -318,6 +320,13 @@ class Problem:
             r += held.added
         return like.held.reduce(r, self._shifted(x, like.moved)) + self._price(x)
 
+    def anew(self, x: NDArray) -> float:
+        """Objective at `x` with what is marginalised as it is there."""
+        g = self._gathered(x, jacobian=False)
+        gram = g.gram + self._shifted(x, g.moved) if g.common else g.gram
+        whole = float(np.sum(g.columns[-1] ** 2))
+        return sensible(float(common_out(gram, g.common)[-1, -1]), whole) + self._price(x)
+
     def marginal(self, x: NDArray) -> float:
         """Whitened squares at `x` with what is marginalised taken off at its price; nothing for `x` itself."""
         all_of_it = self._gathered(x, jacobian=False)
@@ -337,6 +346,11 @@ class Problem:
         if self._common is not None:
             prior[self._offsets] = 0.0
         return prior
+
+    @cached_property
+    def _sizes(self) -> slice:
+        first = self._offsets.stop + self.start.log_zeta.size
+        return slice(first, first + self.start.size.size)
 
     @property
     def _common(self) -> NDArray | None:
@@ -377,6 +391,37 @@ class Problem:
             gram, factor = by_rows(columns, n)
         return Gathered(columns, n, k, moved, gram, factor, irregular)
 
+    def _moving(self, x: NDArray, g: Gathered) -> Gathered:
+        """The same with what `x` moves of the marginalised columns, each as large as it is likeliest there, among the
+        derivatives (as in variable projection: Kaufman 1975); sizes of modes move them by next to nothing.
+        """
+        m, n, k = g.own + g.common, g.own, g.common
+        shifted = self._shifted(x, g.moved) if k else np.zeros((1, 1))
+        inner = g.gram[:k, :k] + shifted[:-1, :-1] + np.eye(k)
+        shared = np.linalg.solve(inner, g.gram[:k, -1] + shifted[:-1, -1])
+        own = np.ascontiguousarray(g.columns[:n].transpose(1, 0, 2))  # (rows, n, 2 f)
+        left = g.columns[-1] - np.tensordot(shared, g.columns[n:m], 1)
+        size = np.linalg.solve(np.matmul(own, own.transpose(0, 2, 1)) + np.eye(n), np.matmul(own, left[:, :, None]))
+        directions = self._common.shape[1] if k and self._common is not None else 0
+        along = None if not k else self._common @ shared[:directions, None]
+        weights = np.concatenate([np.ones(min(directions, 1)), shared[directions:]])
+        parts = None if g.irregular is None else g.irregular.parts
+
+        def taken(at: NDArray) -> NDArray:
+            columns, _, together, _ = self._columns(at, jacobian=False, parts=parts, along=along)
+            made = np.matmul(size.transpose(0, 2, 1), columns[:n].transpose(1, 0, 2))[:, 0]
+            return made + np.tensordot(weights, columns[n : n + together], 1)
+
+        here, columns = taken(x), g.columns.copy()
+        felt = np.sqrt(np.sum(columns[m:-1] ** 2, axis=(1, 2)))
+        felt[self._sizes] = 0.0
+        for i in np.flatnonzero(felt > 0):
+            ahead = x.copy()
+            ahead[i] += NUDGE / felt[i]
+            columns[m + i] += (taken(ahead) - here) / (ahead[i] - x[i])
+        gram, factor = by_rows(columns, n)
+        return replace(g, columns=columns, gram=gram, factor=factor)
+
     def _irregular(self, columns: NDArray, n: int, gram: NDArray, shifted: NDArray) -> Irregularity | None:
         """The likeliest irregularity at a point with these columns, where it makes more than `BENT` of a row and is
         none that only something else would make, `FAR`.
@@ -398,12 +443,12 @@ class Problem:
         return np.asarray(np.sqrt(np.sum(np.abs(self.data.value * self._weight) ** 2, axis=2)).ravel(), float)
 
     def _columns(
-        self, x: NDArray, *, jacobian: bool, parts: NDArray | None = None
+        self, x: NDArray, *, jacobian: bool, parts: NDArray | None = None, along: NDArray | None = None
     ) -> tuple[NDArray[np.float64], int, int, NDArray[np.float64]]:  # fmt: skip
         """Whitened columns (n + k + n_x + 1, rows, 2 f): n marginalised by row, k in common, derivatives to `x` where
         asked for, residuals; n; k; and by how much what is common moves frequencies (k, m_b).
         """
-        r = self._at(x).run(jacobian, True, self._common, parts)
+        r = self._at(x).run(jacobian, True, self._common if along is None else along, parts)
         own, loose = self._own_columns(r, x), self._loose
         shared = [(r.common, self._weight), *self._inputs(r.value)] if r.common is not None else []
         more = len(loose) * len(r.other_modal) if r.other_modal is not None else 0
@@ -423,9 +468,13 @@ class Problem:
             moved[: len(r.moved)] = r.moved
         return columns, n, k, moved
 
-    def normal(self, x: NDArray) -> Normal:
-        """Objective, gradient and Gauss-Newton Hessian (halved) at `x`."""
+    def normal(self, x: NDArray, *, moving: bool = False) -> Normal:
+        """Objective, gradient and Gauss-Newton Hessian (halved) at `x`; `moving` where what is marginalised is to move
+        along with `x` as it is there, which costs as many evaluations as `x` has entries.
+        """
         g = self._gathered(x, jacobian=True)
+        if moving:
+            g = self._moving(x, g)
         columns, n, k, moved, gram = g.columns, g.own, g.common, g.moved, g.gram
         held = Marginal(columns[: n + k], n, g.factor[:, :, : n + k], gram[:k, :k].copy())
         if k:
