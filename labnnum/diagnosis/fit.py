@@ -46,15 +46,16 @@ def changes_of(made: Fit) -> list[tuple[Change, NDArray[np.float64]]]:
     return out
 
 
-NEAR = 1e4
-"""Chi-square per value below which what is marginalised is followed where it misleads a fit."""
+NEAR, RIVAL = 1e4, 10.0
+"""Chi-square per value, and of the goal if there is one, below which what is marginalised is followed where it misleads
+a fit."""
 HASTE = 3.0
 """How much faster than in its last step a fit may be expected to descend."""
 
 
 def fit(
     engine: Engine, data: Data, terms: Sequence[Term], scatter: Scatter, x: NDArray, *, steps: int = 12,
-    tolerance: float = 0.05, goal: float | None = None,
+    tolerance: float = 0.05, goal: float | None = None, follow: bool = True,
 ) -> Fit:  # fmt: skip
     """Levenberg-Marquardt from `x` to the nearest maximum of the posterior.
 
@@ -69,13 +70,18 @@ def fit(
     goal : float, optional
         An objective that another model has reached: ends where `HASTE` times the last gain in each step that is left
         would not lead there.
+    follow : bool
+        Whether what is marginalised is followed, at its cost, once the fit goes up where its model falls: held as it
+        is at each step, what is marginalised misleads a fit whose ordinary errors are far from none.
     """
     problem = Problem(engine, data, terms, scatter)
     x = problem.clip(x)
     here = problem.normal(x)
     damping, converged = 1e-3, False
     best = (here, x)
-    small, moving, near = 0, False, NEAR * 2 * data.value.size
+    small, moving = 0, False
+    near = NEAR * 2 * data.value.size if follow else 0.0
+    near = near if goal is None else min(near, RIVAL * goal)
     for left in range(steps - 1, -1, -1):
         moved = False
         for _ in range(6):

@@ -62,8 +62,9 @@ def frequency_spread(engine: Engine, scatter: Scatter) -> NDArray[np.float64]:
     return np.hypot(scatter.frequency, share * engine.mesh_shift)
 
 
-NUDGE = 1e-4
-"""Step, in standard deviations of a parameter alone, by which the marginalised columns' derivatives are taken."""
+NUDGE, FINEST = 1e-4, 1e-10
+"""Step, in standard deviations of a parameter alone and of itself at least, by which the marginalised columns'
+derivatives are taken."""
 LOOSE = 40.0
 """A loose channel's errors over the ordinary ones: shapes and gain by more than half of themselves."""
 
@@ -417,7 +418,7 @@ class Problem:
         felt[self._sizes] = 0.0
         for i in np.flatnonzero(felt > 0):
             ahead = x.copy()
-            ahead[i] += NUDGE / felt[i]
+            ahead[i] += max(NUDGE / felt[i], FINEST * abs(x[i]))
             columns[m + i] += (taken(ahead) - here) / (ahead[i] - x[i])
         gram, factor = by_rows(columns, n)
         return replace(g, columns=columns, gram=gram, factor=factor)

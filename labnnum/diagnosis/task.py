@@ -137,7 +137,7 @@ class Task:
 
     def rough(self, terms: Sequence[Term], x: NDArray, level: Data) -> Fit:
         """A few steps on one rung, all errors as large as they may be."""
-        return fit(self.engine, level, terms, self.wide, x, steps=8, tolerance=1.0)
+        return fit(self.engine, level, terms, self.wide, x, steps=8, tolerance=1.0, follow=False)
 
     def errors_on(self, level: Data) -> Scatter:
         """The ordinary errors that go with the lines themselves, or with one of the broadened data."""
