@@ -63,8 +63,8 @@ def frequency_spread(engine: Engine, scatter: Scatter) -> NDArray[np.float64]:
 
 
 NUDGE, FINEST = 1e-4, 1e-10
-"""Step, in standard deviations of a parameter alone and of itself at least, by which the marginalised columns'
-derivatives are taken."""
+"""Step, in standard deviations of a parameter alone or in its reach, and of itself at least, by which the marginalised
+columns' derivatives are taken."""
 LOOSE = 40.0
 """A loose channel's errors over the ordinary ones: shapes and gain by more than half of themselves."""
 
@@ -405,7 +405,7 @@ class Problem:
         size = np.linalg.solve(np.matmul(own, own.transpose(0, 2, 1)) + np.eye(n), np.matmul(own, left[:, :, None]))
         directions = self._common.shape[1] if k and self._common is not None else 0
         along = None if not k else self._common @ shared[:directions, None]
-        weights = np.concatenate([np.ones(min(directions, 1)), shared[directions:]])
+        weights = np.concatenate([np.ones(min(k, 1)), shared[directions:]])
         parts = None if g.irregular is None else g.irregular.parts
 
         def taken(at: NDArray) -> NDArray:
@@ -418,7 +418,7 @@ class Problem:
         felt[self._sizes] = 0.0
         for i in np.flatnonzero(felt > 0):
             ahead = x.copy()
-            ahead[i] += max(NUDGE / felt[i], FINEST * abs(x[i]))
+            ahead[i] += min(max(NUDGE / felt[i], FINEST * abs(x[i])), NUDGE * self.reach[i])
             columns[m + i] += (taken(ahead) - here) / (ahead[i] - x[i])
         gram, factor = by_rows(columns, n)
         return replace(g, columns=columns, gram=gram, factor=factor)
