@@ -323,19 +323,22 @@ class Problem:
 
     def anew(self, x: NDArray) -> float:
         """Objective at `x` with what is marginalised as it is there."""
-        g = self._gathered(x, jacobian=False)
-        gram = g.gram + self._shifted(x, g.moved) if g.common else g.gram
-        whole = float(np.sum(g.columns[-1] ** 2))
-        return sensible(float(common_out(gram, g.common)[-1, -1]), whole) + self._price(x)
+        return self._reduced(x)[0] + self._price(x)
 
     def marginal(self, x: NDArray) -> float:
         """Whitened squares at `x` with what is marginalised taken off at its price; nothing for `x` itself."""
-        all_of_it = self._gathered(x, jacobian=False)
-        columns, k, moved, gram = all_of_it.columns, all_of_it.common, all_of_it.moved, all_of_it.gram
-        shifted = self._shifted(x, moved)
-        whole = float(np.sum(columns[-1] ** 2)) + float(shifted[-1, -1])
-        left = float(common_out(gram + shifted if k else gram, k)[-1, -1])
-        return sensible(left, whole) - self._price_of_offsets(x, moved)
+        left, moved = self._reduced(x)
+        return left - self._price_of_offsets(x, moved)
+
+    def _reduced(self, x: NDArray) -> tuple[float, NDArray]:
+        """Whitened squares at `x` with what is marginalised taken off at its price, and the price of frequency offsets;
+        and by how much what is common moves frequencies (k, m_b).
+        """
+        g = self._gathered(x, jacobian=False)
+        shifted = self._shifted(x, g.moved)
+        whole = float(np.sum(g.columns[-1] ** 2)) + float(shifted[-1, -1])
+        left = float(common_out(g.gram + shifted if g.common else g.gram, g.common)[-1, -1])
+        return sensible(left, whole), g.moved
 
     def _price(self, x: NDArray) -> float:
         """Price of what is fitted; of frequency offsets only where no part of the structure explains them."""
@@ -350,6 +353,7 @@ class Problem:
 
     @cached_property
     def _sizes(self) -> slice:
+        """Where the sizes of modes stand in a point's vector."""
         first = self._offsets.stop + self.start.log_zeta.size
         return slice(first, first + self.start.size.size)
 
@@ -397,15 +401,17 @@ class Problem:
         derivatives (as in variable projection: Kaufman 1975); sizes of modes move them by next to nothing.
         """
         m, n, k = g.own + g.common, g.own, g.common
-        shifted = self._shifted(x, g.moved) if k else np.zeros((1, 1))
+        shifted = self._shifted(x, g.moved)
         inner = g.gram[:k, :k] + shifted[:-1, :-1] + np.eye(k)
         shared = np.linalg.solve(inner, g.gram[:k, -1] + shifted[:-1, -1])
         own = np.ascontiguousarray(g.columns[:n].transpose(1, 0, 2))  # (rows, n, 2 f)
         left = g.columns[-1] - np.tensordot(shared, g.columns[n:m], 1)
         size = np.linalg.solve(np.matmul(own, own.transpose(0, 2, 1)) + np.eye(n), np.matmul(own, left[:, :, None]))
-        directions = self._common.shape[1] if k and self._common is not None else 0
-        along = None if not k else self._common @ shared[:directions, None]
-        weights = np.concatenate([np.ones(min(k, 1)), shared[directions:]])
+        along, weights = None, shared
+        if self._common is not None:  # its directions as one, as they are taken together
+            directions = self._common.shape[1]
+            along = self._common @ shared[:directions, None]
+            weights = np.concatenate([[1.0], shared[directions:]])
         parts = None if g.irregular is None else g.irregular.parts
 
         def taken(at: NDArray) -> NDArray:
@@ -447,7 +453,8 @@ class Problem:
         self, x: NDArray, *, jacobian: bool, parts: NDArray | None = None, along: NDArray | None = None
     ) -> tuple[NDArray[np.float64], int, int, NDArray[np.float64]]:  # fmt: skip
         """Whitened columns (n + k + n_x + 1, rows, 2 f): n marginalised by row, k in common, derivatives to `x` where
-        asked for, residuals; n; k; and by how much what is common moves frequencies (k, m_b).
+        asked for, residuals; n; k; and by how much what is common moves frequencies (k, m_b). `along` (n_parts, k') are
+        other directions of irregularity than the scatter's.
         """
         r = self._at(x).run(jacobian, True, self._common if along is None else along, parts)
         own, loose = self._own_columns(r, x), self._loose
