@@ -12,6 +12,8 @@ from numba import njit
 
 ROUNDS = 60
 """Steps of the search for h, which is kept between bounds that close in."""
+CLOSE, NEWTON = 1e-13, 1e-9
+"""Change of h, of its size, with which the search ends; by Newton's method, whose next step would be its square."""
 
 
 @njit(cache=True, inline="always")
@@ -24,7 +26,9 @@ def _lean(q):  # pragma: no cover - compiled
 
 @njit(cache=True)
 def _rate(step, h0, h, limit, n, share, of):  # pragma: no cover - compiled
-    """dh/dz within the step; in `of` its slopes to h0, h, step, limit, n and share."""
+    """dh/dz within the step; in `of` its slopes to h0, h, step, limit, n and share; that to n without what the power
+    itself makes of it, which `yields` alone asks for.
+    """
     q = abs(step) * n / limit
     lean, grows = _lean(q)
     at = lean * h + (1.0 - lean) * h0
@@ -38,7 +42,7 @@ def _rate(step, h0, h, limit, n, share, of):  # pragma: no cover - compiled
     of[1] = slope * lean
     of[2] = turn * n / limit * (1.0 if step > 0 else -1.0)
     of[3] = a * n * power / limit - turn * q / limit
-    of[4] = (-a * power * np.log(size) if size > 1e-12 else 0.0) + turn * abs(step) / limit
+    of[4] = turn * abs(step) / limit
     of[5] = -(s - 1.0) * power
     return 1.0 - a * power
 
@@ -59,12 +63,13 @@ def yielded(step, give, h0, limit, n, share, of):  # pragma: no cover - compiled
         else:
             low = h
         slope = 1.0 + give * (rate + moved * of[2]) - moved * of[1]
-        new = h - gap / slope if slope > 0.0 else 0.5 * (low + high)
-        if not low < new < high:
+        new = h - gap / slope if slope > 0.0 else low
+        close = slope > 0.0 and abs(new - h) <= NEWTON * (abs(h) + abs(h0))  # such a step may end on a bound
+        if not (close or low < new < high):
             new = 0.5 * (low + high)
-        change = abs(new - h)
+            close = abs(new - h) <= CLOSE * (abs(h) + abs(h0))
         h = new
-        if change <= 1e-13 * (abs(h) + abs(h0)):
+        if close:
             break
     return h
 
@@ -76,6 +81,10 @@ def yields(step, h0, h, limit, n, share, of, d):  # pragma: no cover - compiled
         d[:] = 0.0
         return
     rate = _rate(step, h0, h, limit, n, share, of)
+    lean, _ = _lean(abs(step) * n / limit)
+    size = abs(lean * h + (1.0 - lean) * h0) / limit
+    if size > 1e-12:
+        of[4] -= (1.0 - rate) * np.log(size)
     down = 1.0 / max(1.0 - step * of[1], 0.2)
     d[0] = (rate + step * of[2]) * down
     d[1] = (1.0 + step * of[0]) * down
