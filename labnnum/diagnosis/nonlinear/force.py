@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numba import njit
 
+from labnnum.compiled import up_to_date
 from labnnum.diagnosis.nonlinear.yielding import yielded, yields
 from labnnum.mechanisms.stick_slip import SLIDERS
 from labnnum.nonlinear import part_of_limit
@@ -100,6 +101,7 @@ def _slide(z, p, memory, lp):  # pragma: no cover - compiled
     return force, slope
 
 
+@up_to_date
 @njit(cache=True)
 def hysteretic(z, p, memory, d):  # pragma: no cover - compiled
     """H at z from (z0, h0), and in d: dh/dz, dh/dh0, dh/dlimit, dh/dn, dh/dshare."""
@@ -109,6 +111,7 @@ def hysteretic(z, p, memory, d):  # pragma: no cover - compiled
     return h
 
 
+@up_to_date
 @njit(cache=True)
 def law(code, z, v, p, memory, lp, d):  # pragma: no cover - compiled
     """Opposing force, its slopes to z and v; `lp` gets those to the parameters, `d` those that memory needs."""
@@ -200,6 +203,7 @@ ROUNDING = 1e-15
 """What numbers tell of motion and speed: of a stiff law most of both is taken back by its force."""
 
 
+@up_to_date
 @njit(cache=True)
 def solve_force(code, z, v, gz, gv, seated, p, memory, last, guess, step, lp, d):  # pragma: no cover - compiled
     """Force f on the structure with f = -law(z + gz f, v + gv f); `last` is that of the step before.

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from labnnum.compiled import up_to_date
 from labnnum.diagnosis.nonlinear.force import (
     HELD,
     count_of,
@@ -125,6 +126,7 @@ def _given_way(gz, gv, pull):  # pragma: no cover - compiled
     return z, v, taken
 
 
+@up_to_date
 @njit(cache=True, error_model="numpy", nogil=True)
 def march(
     T, W0, W1, w, gz, gv, before, seated, stride, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp, ds,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from labnnum.compiled import up_to_date
 from labnnum.diagnosis.nonlinear.force import HELD, count_of, law, odds_of
 from labnnum.diagnosis.nonlinear.yielding import yielded
 
@@ -47,6 +48,7 @@ def _slid(z, p, turns):  # pragma: no cover - compiled
     return out
 
 
+@up_to_date
 @njit(cache=True, nogil=True)
 def along(code, z, v, p, turns):  # pragma: no cover - compiled
     """Opposing force of a law along a prescribed motion (n,), passed through `turns` times; that of the last pass."""
