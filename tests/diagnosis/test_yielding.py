@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from labnnum.diagnosis.nonlinear import yielding
 from labnnum.diagnosis.nonlinear.force import HELD, solve_force
 from labnnum.diagnosis.nonlinear.yielding import yielded, yields
 
@@ -83,3 +84,16 @@ def test_a_stiff_law_is_found_to_the_last_digit_of_the_motion():
     p[0] = k3
     f = solve_force(0, z, 0.0, gz, 0.0, False, p, np.zeros(2), 0.0, 0.0, 1.0, np.empty(10), np.empty(6))
     np.testing.assert_allclose(f, -z / gz, rtol=1e-8)
+
+
+@pytest.mark.parametrize("give", [0.0, 0.3, 100.0])
+@pytest.mark.parametrize("top", [0.1, 1.0, 10.0])
+def test_a_step_takes_few_rounds(monkeypatch, give, top):
+    """A step of Newton's method that ends on a bound, to the last digit, has arrived: it is not to be halved."""
+    asked, rate = [], yielding._rate
+    monkeypatch.setattr(yielding, "_rate", lambda *a: asked.append(a) or rate(*a))
+    h = moved = 0.0
+    for z in top * LIMIT * np.sin(np.linspace(0, 40, 500)):
+        h = yielded.py_func(z - moved, give, h, LIMIT, N, SHARE, np.empty(6))
+        moved = z - give * h
+    assert len(asked) < 5.5 * 500
