@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from labnnum.diagnosis.nonlinear import whole
 from labnnum.diagnosis.nonlinear.beside import confirmed, finds_first
 from labnnum.diagnosis.nonlinear.decision import _warped
 from labnnum.diagnosis.nonlinear.explore import engine_start
@@ -70,6 +71,45 @@ def test_a_spring_may_be_one_slider_or_many(both):
         assert f.p[0] == 500.0
         assert 0.0 < f.p[1] <= 500.0 * 0.02
         assert (f.p[2] > 0) == (f.mechanism == "sliders")
+
+
+def test_a_spring_that_hardly_slips_is_many_sliders_of_which_the_weakest_do(both):
+    p = np.zeros(N_P)
+    p[0] = 500.0
+    ((form,),) = let_go([(Lead(both[2][0], "stick-slip", p, 0.0), 0.02)], hardly=True)
+    assert form.mechanism == "sliders"
+    weakest, mean = form.p[1] * (1 - form.p[2]), form.p[1]
+    assert weakest < 2 * 500.0 * 0.02 < mean
+
+
+def answer_of(law, total, place=("2", "3"), named=True):
+    made = SimpleNamespace(objective=total, count=1)
+    one = SimpleNamespace(mechanism=law, spot=SimpleNamespace(place=Place("joint", *place)), made=made)
+    return SimpleNamespace(named=named, laws=(one,))
+
+
+@pytest.mark.parametrize(
+    ("law", "at", "costs", "named", "taken"),
+    [
+        ("stick-slip", ("1", "2"), 0.9, True, True),
+        ("coulomb-friction", ("1", "2"), 0.9, True, True),
+        ("cubic-stiffness", ("1", "2"), 0.9, True, False),  # a spring beside it slips nowhere
+        ("stick-slip", ("2", "3"), 0.9, True, False),  # that is the law itself
+        ("stick-slip", ("1", "2"), 1.1, True, False),
+        ("stick-slip", ("1", "2"), 0.9, False, False),
+    ],
+)
+def test_one_slider_stands_for_a_law_and_a_spring_beside_it(monkeypatch, law, at, costs, named, taken):
+    slider = Lead(SimpleNamespace(place=Place("joint", *at)), "stick-slip", np.ones(N_P), 0.0)
+    monkeypatch.setattr(whole, "sticking", lambda *a: [(slider, 0.02)])
+    monkeypatch.setattr(whole, "held_of", lambda engine: [])
+    alone = answer_of("sliders", costs, at, named)
+    search = SimpleNamespace(
+        nearly=0.0, engine=None, progress=lambda text: None, _spots=list, _with=lambda *a, given: alone,
+        _held=lambda under: SimpleNamespace(bench=SimpleNamespace(engine=None), x=None, base=None, values=None),
+    )  # fmt: skip
+    found = answer_of(law, 1.0)
+    assert whole.Whole._one_for_two(search, found, SimpleNamespace(faults=[])) is (alone if taken else None)
 
 
 @pytest.mark.parametrize(("price", "warped"), [(90.0, False), (110.0, True)])

@@ -10,6 +10,8 @@ import numpy as np
 
 from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear.beside import (
+    Beneath,
+    added_to,
     confirmed,
     finds_first,
     quietest_of,
@@ -134,6 +136,7 @@ class _Whole(Whole):
         self.progress("searching for linear physics beside it")
         found, rest = self._supposing(found, self._rest(found))
         rest = self._confirming(found, rest)
+        found, rest = self._alone(found, rest)
         unsure = self.periodic and found.lying is None and found.misfit > UNSURE
         doubted = doubted_by(rest, self.train) if unsure else None
         if doubted is not None and not self.faults:
@@ -199,6 +202,15 @@ class _Whole(Whole):
                     return second, again
         self.train, self.test, self.usable = before
         return found, self._rest(found, supposing=False) if explains(found) else rest
+
+    def _alone(self, found: NonlinearAnswer, rest: Diagnosis) -> tuple[NonlinearAnswer, Diagnosis]:
+        """A slider and the linear search beside it, in the stead of a law that yields and of a spring beside it; what
+        they were where a slider alone does not do better.
+        """
+        plain = found.study.engine is self.engine and found.lying is None and not self.faults
+        wide = added_to(self.engine, rest) if plain and rest.named else None
+        one = self._one_for_two(found, Beneath([wide], [], ())) if wide is not None else None
+        return (found, rest) if one is None or not one.linearised else (one, self._rest(one))
 
     def _confirming(self, found: NonlinearAnswer, rest: Diagnosis) -> Diagnosis:
         """The linear search beside a law; with the fault of a channel that it finds first but cannot name, where the

@@ -94,6 +94,8 @@ level;"""
 MANY, APART = 0.4, 0.8
 """and the mean limit, of that, and the spread of the limits of many sliders: what yields bit by bit bends the base for
 a single one, and does not come back from there."""
+FIRM, FULLY = 20.0, 0.95
+"""The same of many sliders that hardly slip, whose limits begin near nothing."""
 
 
 def sticking(
@@ -130,12 +132,15 @@ def sticking(
     return out
 
 
-def let_go(sliders: Sequence[tuple[Lead, float]]) -> tuple[tuple[Lead, ...], ...]:
-    """Sliders, with the RMS of their motion, in several forms: limits of one, and many side by side."""
+def let_go(sliders: Sequence[tuple[Lead, float]], hardly: bool = False) -> tuple[tuple[Lead, ...], ...]:
+    """Sliders, with the RMS of their motion, in several forms: limits of one, and many side by side; where they
+    `hardly` slip many, of which the weakest alone do.
+    """
     out = []
     for slider, motion in sliders:
         force = slider.p[0] * motion
-        forms = [("stick-slip", part * force, 0.0) for part in LET_GO] + [("sliders", MANY * force, APART)]
+        one = [("stick-slip", part * force, 0.0) for part in LET_GO]
+        forms = [("sliders", FIRM * force, FULLY)] if hardly else [*one, ("sliders", MANY * force, APART)]
         for mechanism, limit, spread in forms:
             p = slider.p.copy()
             p[1:3] = limit, spread

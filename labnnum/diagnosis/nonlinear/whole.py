@@ -33,6 +33,7 @@ from labnnum.diagnosis.nonlinear.decision import (
 from labnnum.diagnosis.nonlinear.effort import counted
 from labnnum.diagnosis.nonlinear.explore import MISLED, NOISY, calmed
 from labnnum.diagnosis.nonlinear.fast import held_fast
+from labnnum.diagnosis.nonlinear.force import YIELDING
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot, spots
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
 from labnnum.diagnosis.nonlinear.partner import partners
@@ -174,8 +175,9 @@ class Whole:
                 under = self._quiet()[1]
                 second = self._above(under) if under is not None else None
         if under is not None and second is not None and (found is None or instead(second, found)):
+            one = self._one_for_two(second, replace(under, engines=[second.study.engine])) if not self.loose else None
             self._rid_of(under)
-            return second
+            return one or second
         self.under = under
         return found
 
@@ -285,6 +287,24 @@ class Whole:
             return None
         self.progress("letting a spring of the quietest level slip")
         return self._with(under.faults, self.engine, given=Given(let_go(sliders), held.base, NOISY))
+
+    def _one_for_two(self, found: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
+        """A slider alone in the stead of a law that yields and of a spring that is held or was found beside it; None
+        where that costs more. One that hardly slips is a spring, and what it slips another place shows too.
+        """
+        yields = [t for t in found.laws if t.mechanism in (*YIELDING, "coulomb-friction")]
+        if not found.named or len(found.laws) != 1 or not yields or self.nearly:
+            return None
+        held = self._held(under)
+        if held is None:
+            return None
+        sliders = sticking(held.bench, held.x, self._spots(), held_of(held.bench.engine), held.values)
+        sliders = [s for s in sliders if not same_place(s[0].spot.place, yields[0].spot.place)]
+        if not sliders:
+            return None
+        self.progress("letting a spring slip instead of the law and it")
+        alone = self._with(under.faults, self.engine, given=Given(let_go(sliders, hardly=True), held.base, NOISY))
+        return alone if alone is not None and alone.named and total(alone) <= total(found) else None
 
     def _let_go(self, second: NonlinearAnswer, under: Beneath) -> NonlinearAnswer | None:
         """The law on the structure alone if each spring of the quietest level is a slider that holds there, and, where
