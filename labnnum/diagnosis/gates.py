@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labnnum.diagnosis.creep import take_back
+from labnnum.diagnosis.creep import LEAST, take_back
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.railed import railed
 from labnnum.diagnosis.rails import Clip
@@ -30,6 +30,8 @@ OFTEN_PILED, TIMES = 2.0, 12
 sweep that swells and fades a quarter as many lie at its end as just inside."""
 CHANGED = 1.25
 """Ratio of the change within a run to what its periods' scatter allows; sound runs scatter about 1."""
+SURELY = 3.0
+"""Standard deviations of a drift's size from which on it is one: halves may differ by what moves no frequency."""
 BESIDE = 10.0
 """Ratio of the change of the FRFs between levels to that within runs, above which a drift is beside the point."""
 
@@ -258,6 +260,8 @@ def drifted(
     value, std = float(np.mean(sizes)), float(np.sqrt(np.sum(stds**2))) / sizes.size
     if sizes.size > 1:
         std = max(std, float(np.std(sizes, ddof=1) / np.sqrt(sizes.size)))
+    if abs(value) < max(SURELY * std, 2 * LEAST):  # the halves differ by something else than stiffness
+        return same
     return _drift(value, std, float(min(0.999, 1 - np.exp(-3 * (np.median(ratios) - 1))))), same[1], same[2]
 
 

@@ -96,13 +96,19 @@ def test_what_the_structure_puts_on_the_force_is_not_excited():
 def test_a_creep_that_levels_dwarf_is_no_drift():
     rng = np.random.default_rng(2)
     one = rattling((2,), seed=3)
-    slope = replace(one.frf, value=1e-3 * one.frf.value * rng.normal(size=one.frf.value.shape))
+    stretch = -np.gradient(one.frf.value, one.frf.omega, axis=2) * one.frf.omega
+    slope = replace(one.frf, value=2e-4 * stretch)
     low = replace(one, level=1.0, drift=3.0, drift_slope=slope)
     other = replace(low.frf, value=2.0 * low.frf.value)
     assert drifted([low, replace(low, level=3.0, frf=other)])[0] is None
     same = drifted([low, replace(low, level=3.0)])[0]
     assert same is not None
     assert same.term.mechanism.id == "drift"
+    assert same.value == pytest.approx(8e-4)
+    noise = replace(one.frf, value=1e-3 * one.frf.value * rng.normal(size=one.frf.value.shape))
+    assert drifted([replace(low, drift_slope=noise)])[0] is None  # its halves differ, and no frequency moves
+    small = replace(one.frf, value=2e-5 * stretch)
+    assert drifted([replace(low, drift_slope=small)])[0] is None
 
 
 def test_a_sweep_is_kept_in_the_band_only():

@@ -108,8 +108,6 @@ class Bench:
     """Objective per value above which where a fit ends is of no use: one that falls too slowly for it is given up."""
     firm: tuple[int, ...] = ()
     """Numbers of the runs that hold the base: they are given no tolerance."""
-    exact: bool = True
-    """Whether fits march the tangents to the base, and do not take them by describing functions."""
 
     def against(self, *tried: Tried) -> Bench:
         """The same for rivals of laws, if there are any: those that leave several times as much as the best of these
@@ -140,7 +138,7 @@ class Bench:
     def both(self, x: NDArray, leads: Sequence[Lead], steps: int) -> Tried | None:
         """Several laws that act together fitted by simulation, from the base vector `x`."""
         joint = self.joint(leads)
-        return self._fitted(joint, joint.start(x), [None] * len(self.runs), leads[0], steps, more=leads[1:])
+        return tried_fit(joint, joint.start(x), [None] * len(self.runs), leads[0], steps, more=leads[1:])
 
     def follow_on(self, one: Tried, steps: int) -> Tried:
         """The same carried on."""
@@ -153,8 +151,8 @@ class Bench:
         terms = [replace(lead.acting(), last=last) for lead in of_fits(one)]
         joint = self.joint_of(terms)
         begun = marched_from(joint, one.made.x, one.made.orbits)
-        made = self._fitted(joint, one.made.x, begun, one.lead, steps, more=one.more)
-        return made or self._fitted(joint, one.made.x, [None] * len(self.runs), one.lead, steps, more=one.more)
+        made = tried_fit(joint, one.made.x, begun, one.lead, steps, more=one.more)
+        return made or tried_fit(joint, one.made.x, [None] * len(self.runs), one.lead, steps, more=one.more)
 
     def direct(self, starts: Sequence[NDArray], lead: Lead, steps: int, *, soften: bool = True) -> Tried | None:
         """A law fitted by simulation from what the recovered motion promised, from several base vectors.
@@ -176,13 +174,13 @@ class Bench:
         begin = [joint.start(x) for x in starts]
         if soften:
             begin.append(joint.start(softened(joint, starts[0], lead)))
-        made = [self._fitted(joint, x, [None] * len(self.runs), lead, steps) for x in begin]
+        made = [tried_fit(joint, x, [None] * len(self.runs), lead, steps) for x in begin]
         return min((t for t in made if t is not None), key=lambda t: t.cost, default=None)
 
     def again(self, x: NDArray, one: Tried, lead: Lead, steps: int) -> Tried | None:
         """A simulated fit from another base vector and other parameters of its law, with as fine steps."""
         joint = self.joint_of([replace(lead.acting(), last=one.made.terms[0].last)])
-        return self._fitted(joint, joint.start(x), [None] * len(self.runs), one.lead, steps)
+        return tried_fit(joint, joint.start(x), [None] * len(self.runs), one.lead, steps)
 
     def law_alone(self, x: NDArray, lead: Lead, steps: int) -> Tried | None:
         """A law fitted by simulation, the base held where `x` has it."""
@@ -203,14 +201,8 @@ class Bench:
 
     def _carried(self, one: Tried, terms: Sequence[Acting], steps: int, always: bool) -> Tried:
         joint = self.joint_of(terms)
-        made = self._fitted(joint, one.made.x, one.made.orbits, one.lead, steps, always=always, more=one.more)
+        made = tried_fit(joint, one.made.x, one.made.orbits, one.lead, steps, always=always, more=one.more)
         return made or self.as_it_is(one)
-
-    def _fitted(
-        self, joint: Joint, x: NDArray, orbits: Sequence[Orbit | None], lead: Lead, steps: int, *,
-        always: bool = False, more: Sequence[Lead] = (),
-    ) -> Tried | None:  # fmt: skip
-        return tried_fit(joint, x, orbits, lead, steps, always=always, exact=self.exact, more=more)
 
     def as_it_is(self, one: Tried) -> Tried:
         """A simulated fit, no further, with what it leaves of this bench's lines; of infinite cost where it settles on

@@ -23,9 +23,6 @@ BRIEF, STEPS, LAST = 3, 6, 12
 """Steps of the first fit of a law, of one with a tolerance, and of the one without."""
 SETTLED = 20
 """Steps at most of the fits with the widest tolerance: from there on a law must not be far off."""
-TELLING = 0.05
-"""Tolerance from which on a fit takes its tangents to the base by describing functions: they need not lead further than
-what is compared tells apart."""
 UNFIT = 1.0
 """Chi-square per value that the base alone leaves with the widest tolerance that is asked for."""
 PAYS = 4.0
@@ -42,8 +39,7 @@ def slackened(bench: Bench, slack: float) -> Bench:
     """The bench with a tolerance of `slack` of the response around each line of the runs that do not hold the base."""
     pairs = enumerate(zip(bench.runs, bench.lines, strict=True))
     lines = tuple(own if i in bench.firm else _slackened(run, own, slack) for i, (run, own) in pairs)
-    closing = bench.closing if bench.firm else max(bench.closing, slack / CLOSELY)
-    return replace(bench, lines=lines, closing=closing, exact=bench.exact and slack < TELLING)
+    return replace(bench, lines=lines, closing=bench.closing if bench.firm else max(bench.closing, slack / CLOSELY))
 
 
 def _slackened(run: Run, lines: Lines, slack: float) -> Lines:
