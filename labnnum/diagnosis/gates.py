@@ -30,8 +30,9 @@ OFTEN_PILED, TIMES = 2.0, 12
 sweep that swells and fades a quarter as many lie at its end as just inside."""
 CHANGED = 1.25
 """Ratio of the change within a run to what its periods' scatter allows; sound runs scatter about 1."""
-SURELY = 3.0
-"""Standard deviations of a drift's size from which on it is one: halves may differ by what moves no frequency."""
+SURELY, FAR_CHANGED = 3.0, 2.0
+"""Standard deviations of a drift's size from which on it is one: halves may differ by what moves no frequency; and the
+ratio from which on they count as a drift whatever its size."""
 BESIDE = 10.0
 """Ratio of the change of the FRFs between levels to that within runs, above which a drift is beside the point."""
 
@@ -260,8 +261,8 @@ def drifted(
     value, std = float(np.mean(sizes)), float(np.sqrt(np.sum(stds**2))) / sizes.size
     if sizes.size > 1:
         std = max(std, float(np.std(sizes, ddof=1) / np.sqrt(sizes.size)))
-    if abs(value) < max(SURELY * std, 2 * LEAST):  # the halves differ by something else than stiffness
-        return same
+    if float(np.median(ratios)) < FAR_CHANGED and abs(value) < max(SURELY * std, 2 * LEAST):
+        return same  # the halves differ by a little, and by something else than stiffness
     return _drift(value, std, float(min(0.999, 1 - np.exp(-3 * (np.median(ratios) - 1))))), same[1], same[2]
 
 

@@ -106,9 +106,11 @@ def test_a_creep_that_levels_dwarf_is_no_drift():
     assert same.term.mechanism.id == "drift"
     assert same.value == pytest.approx(8e-4)
     noise = replace(one.frf, value=1e-3 * one.frf.value * rng.normal(size=one.frf.value.shape))
-    assert drifted([replace(low, drift_slope=noise)])[0] is None  # its halves differ, and no frequency moves
+    assert drifted([replace(low, drift=1.5, drift_slope=noise)])[0] is None  # its halves differ, and no frequency moves
+    assert drifted([replace(low, drift_slope=noise)])[0] is not None
     small = replace(one.frf, value=2e-5 * stretch)
-    assert drifted([replace(low, drift_slope=small)])[0] is None
+    assert drifted([replace(low, drift=1.5, drift_slope=small)])[0] is None
+    assert drifted([replace(low, drift=1.5)])[0] is not None
 
 
 def test_a_sweep_is_kept_in_the_band_only():
