@@ -12,29 +12,33 @@ from typing import Any
 
 
 def up_to_date(function: Any) -> Any:
-    """A function that numba compiled, its machine code on disk deleted where a file that it draws on is newer.
+    """A function that numba compiled; its machine code on disk, and that of all compiled functions that it calls, is
+    deleted where a file that the code draws on is newer.
 
     To be applied before the first call, above `numba.njit(cache=True)`.
     """
     if not hasattr(function, "py_func"):  # compiling is switched off
         return function
-    newest = max(path.stat().st_mtime_ns for path in _sources(function))
-    own = function.py_func
-    stem = Path(own.__code__.co_filename).stem
-    for index in Path(function.stats.cache_path).glob(f"{stem}.{own.__qualname__}-*.nbi"):
-        with suppress(OSError):  # another process was faster, or may not write here: then numba cannot either
-            if index.stat().st_mtime_ns < newest:
-                index.unlink()
+    for one in _reached(function):
+        newest = max(_source(f).stat().st_mtime_ns for f in _reached(one))
+        for index in Path(one.stats.cache_path).glob(f"{_source(one).stem}.{one.py_func.__qualname__}-*.nbi"):
+            with suppress(OSError):  # another process was faster, or may not write here: then numba cannot either
+                if index.stat().st_mtime_ns < newest:
+                    index.unlink()
     return function
 
 
-def _sources(function: Any) -> set[Path]:
-    """Files of a compiled function and of all compiled ones that it calls."""
-    seen, todo = {function.py_func}, [function.py_func]
+def _source(function: Any) -> Path:
+    return Path(function.py_func.__code__.co_filename)
+
+
+def _reached(function: Any) -> set[Any]:
+    """A compiled function and all compiled ones that it calls, directly or not."""
+    seen, todo = {function}, [function]
     while todo:
-        here = todo.pop()
+        here = todo.pop().py_func
         named = (here.__globals__.get(name) for name in here.__code__.co_names)
-        fresh = {f.py_func for f in named if hasattr(f, "py_func")} - seen
+        fresh = {f for f in named if hasattr(f, "py_func")} - seen
         seen |= fresh
         todo += fresh
-    return {Path(f.__code__.co_filename) for f in seen}
+    return seen

@@ -12,9 +12,14 @@ CALLING = """from numba import njit
 from called import twice
 {imported}
 
+@njit(cache=True)
+def between(x):
+    return twice(x)
+
+
 {decorated}@njit(cache=True)
 def more(x):
-    return twice(x) + 1
+    return between(x) + 1
 
 
 print(more(3))

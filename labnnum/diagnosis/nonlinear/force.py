@@ -101,7 +101,6 @@ def _slide(z, p, memory, lp):  # pragma: no cover - compiled
     return force, slope
 
 
-@up_to_date
 @njit(cache=True)
 def hysteretic(z, p, memory, d):  # pragma: no cover - compiled
     """H at z from (z0, h0), and in d: dh/dz, dh/dh0, dh/dlimit, dh/dn, dh/dshare."""

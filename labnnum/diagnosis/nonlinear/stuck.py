@@ -94,8 +94,8 @@ level;"""
 MANY, APART = 0.4, 0.8
 """and the mean limit, of that, and the spread of the limits of many sliders: what yields bit by bit bends the base for
 a single one, and does not come back from there."""
-FIRM, FULLY = 20.0, 0.95
-"""The same of many sliders that hardly slip, whose limits begin near nothing."""
+FULLY = 0.95
+"""Spread of the limits of many sliders that hardly slip: the weakest let go at the force at the RMS of the motion."""
 
 
 def sticking(
@@ -140,7 +140,7 @@ def let_go(sliders: Sequence[tuple[Lead, float]], hardly: bool = False) -> tuple
     for slider, motion in sliders:
         force = slider.p[0] * motion
         one = [("stick-slip", part * force, 0.0) for part in LET_GO]
-        forms = [("sliders", FIRM * force, FULLY)] if hardly else [*one, ("sliders", MANY * force, APART)]
+        forms = [("sliders", force / (1 - FULLY), FULLY)] if hardly else [*one, ("sliders", MANY * force, APART)]
         for mechanism, limit, spread in forms:
             p = slider.p.copy()
             p[1:3] = limit, spread
