@@ -44,7 +44,8 @@ holds already, 0 or 1. With 1 they act as what they are less that spring: nothin
 TOLD = 5
 """Whether a file says so, or that it holds none: then it is not asked what kind of structure it is."""
 YIELDING = ("stick-slip", "hysteresis", "sliders")
-"""Laws that have it."""
+"""Laws that have it, of which one contains another: a slider with a spring, many of them, its corners rounded. Dry
+friction beside one of them is a second slider, that has no spring."""
 
 
 def remembered(codes: Iterable[int]) -> int:

@@ -13,6 +13,7 @@ from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, cost
 from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import LAWS
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
+from labnnum.diagnosis.nonlinear.force import YIELDING
 from labnnum.diagnosis.nonlinear.leads import OWN, general_lead, law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
@@ -126,9 +127,6 @@ corner that is seldom reached shows along a motion that the first law has bent a
 """
 TRIED = 3
 """Second laws that are fitted beside the first."""
-YIELDING = ("stick-slip", "sliders", "hysteresis")
-"""Laws of which one contains another: a slider with a spring, many of them, its corners rounded. Dry friction beside
-one of them is a second slider, that has no spring."""
 
 
 def _again(lead: Lead, held: Sequence[Acting]) -> bool:
