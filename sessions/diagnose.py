@@ -143,6 +143,7 @@ def write_extended(path: Path, model: Model, d: Diagnosis) -> None:
     tables, factors = dict(model.raw), np.ones(0)
     if tables["structure"].get("kind") == "modal":
         tables, theta, factors = _damped_modes(model, ratios, theta, d.detail["engine"].band_modes)
+        tables["structure"] = _moved_modes(tables["structure"], d)
     elif not _keeps_damping(model.structure):
         tables["damping"] = {"kind": "modal", "ratio": ratios.tolist()}
     else:
@@ -178,6 +179,20 @@ def _damped_modes(
     if told:
         tables["parameter"] = [_reaching(e, told.get(e["name"], e["nominal"])) for e in tables["parameter"]]
     return tables, theta, factors
+
+
+def _moved_modes(table: Mapping[str, Any], d: Diagnosis) -> dict[str, Any]:
+    """The table of a modal structure that was identified, with the frequencies at which the fit has put its modes."""
+    engine, point = d.detail["engine"], d.detail["final"].point
+    modes = [dict(m) for m in table["mode"]]
+    if not table.get("error") or any(isinstance(m["frequency"], str) for m in modes):
+        return dict(table)
+    frequency = engine.state(point.theta).omega / (2 * np.pi)
+    frequency[engine.band_modes] *= 1.0 + point.shift
+    ranked = sorted(modes, key=lambda m: m["frequency"])
+    for mode, value in zip(ranked, frequency.tolist(), strict=False):
+        mode["frequency"] = float(f"{value:.8g}")
+    return {**table, "mode": modes}
 
 
 def _reaching(entry: Mapping[str, Any], value: float) -> dict[str, Any]:

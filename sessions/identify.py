@@ -49,7 +49,7 @@ def identify_files(
     found = identify(frf, order, modes)
     path = Path(out)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(dumps(_tables(found, frf, band)), encoding="utf-8")
+    path.write_text(dumps(tables_of(found, frf, band)), encoding="utf-8")
     return {
         "model": str(path),
         "recording": o.label,
@@ -73,7 +73,8 @@ def _cut(frf: Frf, band: tuple[float, float]) -> Frf:
     return cut
 
 
-def _tables(found: Identified, frf: Frf, band: tuple[float, float]) -> dict[str, Any]:
+def tables_of(found: Identified, frf: Frf, band: tuple[float, float]) -> dict[str, Any]:
+    """Tables of model.toml of what was identified from an FRF in a band in Hz."""
     nodes = list(dict.fromkeys(c.node for c in frf.outputs))
     modes = [
         {

@@ -229,6 +229,7 @@ def _held(structure: Structure) -> list[Fault]:
 def _known(structure: Structure) -> list[Lead]:
     """Nonlinear laws that the structure holds."""
     from labnnum.diagnosis.nonlinear.force import N_P, TOLD, YIELDING
+    from labnnum.diagnosis.nonlinear.laws import form_of
     from labnnum.diagnosis.nonlinear.locate import Lead, Spot
 
     out = []
@@ -239,5 +240,5 @@ def _known(structure: Structure) -> list[Lead]:
         term, column = law.term, np.asarray(law.term.data["column"], float)
         reverse = term.variant.startswith("-")
         spot = Spot(term.place, term.variant, -column if reverse else column)
-        out.append(Lead(spot, "sliders" if term.mechanism.id == "stick-slip" and p[2] else term.mechanism.id, p, 0.0))
+        out.append(Lead(spot, form_of(term.mechanism.id, p), p, 0.0))
     return out

@@ -16,7 +16,12 @@ from labnnum.nonlinear import Element
 @final
 @dataclass(frozen=True)
 class Hysteresis(NonlinearMechanism):
-    """f = k h, dh/dz = 1 - (b sign(z' h) + 1 - b) |h/limit|^n; with `held` less k z, which the model holds already."""
+    """f = k h, dh/dz = 1 - (b sign(z' h) + 1 - b) |h/limit|^n; with `held` less k z, which the model holds already.
+
+    With b between 1 and 2 the factor of the sign is 2 - b instead: the classes in which beta and gamma have opposite
+    signs (Ismail, Ikhouane and Rodellar 2009). Loading then yields late, or stiffens from b = 1.5 on, and the limit is
+    where the way back is twice as stiff as the beginning.
+    """
 
     id = "hysteresis"
     title = "gradual yielding (Bouc-Wen)"
@@ -36,5 +41,6 @@ class Hysteresis(NonlinearMechanism):
         """The law, and off it what the structure holds."""
         k, limit, n, share, held = (*(float(v) for v in p), 0.0)[:5]
         column = np.asarray(term.data["column"], float)
-        law = Element("bouc-wen", column, (k, share / limit**n, (1 - share) / limit**n, n))
+        of_sign = share if share <= 1.0 else 2.0 - share
+        law = Element("bouc-wen", column, (k, of_sign / limit**n, (1.0 - share) / limit**n, n))
         return (law, *less_spring(column, held * k))

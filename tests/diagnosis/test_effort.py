@@ -9,7 +9,7 @@ from labnnum.diagnosis.engine import Engine
 from labnnum.diagnosis.nonlinear import effort
 from labnnum.diagnosis.nonlinear.beside import ends_of
 from labnnum.diagnosis.nonlinear.chain import twins
-from labnnum.diagnosis.nonlinear.effort import counted, marched, spent, tired
+from labnnum.diagnosis.nonlinear.effort import counted, exhausted, marched, spent, tired, weary
 from labnnum.diagnosis.nonlinear.fitting import _tried
 from labnnum.diagnosis.nonlinear.locate import Spot
 from labnnum.errors import ModelError
@@ -46,6 +46,24 @@ def test_a_search_is_tired_once_it_has_marched_for_long():
         marched(int(0.2 * effort.LONG / (effort.STEP * effort.UNIT)), 5, 1, 0)
         assert tired()
     assert not tired()
+
+
+def test_searches_that_count_anew_add_up_to_one_diagnosis():
+    part = int(0.6 * effort.LONG / (effort.STEP * effort.UNIT))
+    with counted():
+        for _ in range(int(effort.WHOLE / (0.6 * effort.LONG))):
+            with counted():
+                marched(part, 5, 1, 0)
+                assert not tired()
+                assert not exhausted()
+        marched(part, 5, 1, 0)
+        assert spent() < effort.LONG
+        assert exhausted()
+        with counted():
+            assert tired()
+            assert weary()
+    with counted():
+        assert not exhausted()
 
 
 @pytest.mark.parametrize("symmetric", [True, False])

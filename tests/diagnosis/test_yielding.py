@@ -21,15 +21,25 @@ def along(motion, give=0.0, limit=LIMIT, n=N, share=SHARE):
     return np.array(out)
 
 
-def test_it_follows_its_differential_equation():
-    t = np.linspace(0, 2, 2001)
+@pytest.mark.parametrize(("share", "of_sign"), [(SHARE, SHARE), (1.0, 1.0), (1.2, 0.8), (1.6, 0.4), (1.9, 0.1)])
+def test_it_follows_its_differential_equation(share, of_sign):
+    t, size = np.linspace(0, 2, 2001), 1.0 if share < 1.5 else 0.3
 
     def rate(at, h):
-        v = 2 * np.pi * np.cos(2 * np.pi * at)
-        return v * (1 - (SHARE * np.sign(v * h) + 1 - SHARE) * abs(h / LIMIT) ** N)
+        v = 2 * np.pi * size * np.cos(2 * np.pi * at)
+        return v * (1 - (of_sign * np.sign(v * h) + 1 - share) * abs(h / LIMIT) ** N)
 
     exact = solve_ivp(rate, (0, 2), [0.0], t_eval=t, rtol=1e-10, atol=1e-12, max_step=1e-3).y[0]
-    np.testing.assert_allclose(along(np.sin(2 * np.pi * t)), exact[1:], atol=2e-4 * LIMIT)
+    made = along(size * np.sin(2 * np.pi * t), share=share)
+    np.testing.assert_allclose(made, exact[1:], atol=2e-4 * np.abs(exact).max())
+
+
+def test_loading_stiffens_beyond_a_share_of_one_and_a_half():
+    z = np.linspace(0, LIMIT, 2001)
+    for share in (1.2, 1.5, 1.8):
+        a = (3 - 2 * share) / LIMIT  # dh/dz = 1 - a h while it loads
+        exact = -np.expm1(-a * z) / a if a else z
+        np.testing.assert_allclose(along(z, n=1.0, share=share), exact[1:], rtol=1e-6)
 
 
 @pytest.mark.parametrize("n", [0.7, 1.0, 3.0, 6.0])
@@ -43,16 +53,24 @@ def test_a_step_of_a_few_limits_hardly_goes_beyond_them():
         assert np.abs(along(step * np.array([0, 1, 0, 1, 2, 3, 2, 1, 0]), share=1.0)).max() < 1.2 * LIMIT
 
 
-@pytest.mark.parametrize("step", [0.02, -0.1, 0.6, -3.0, 40.0])
+def test_what_stiffens_without_end_stays_a_number():
+    h = along(100 * LIMIT * np.sin(np.linspace(0, 20, 2000)), share=1.9, n=6.0)
+    assert np.isfinite(h).all()
+    assert np.abs(h).max() <= yielding.RUNAWAY * LIMIT
+
+
+@pytest.mark.parametrize(
+    ("step", "share"), [*((s, SHARE) for s in (0.02, -0.1, 0.6, -3.0, 40.0)), (0.02, 1.6), (-0.1, 1.3), (0.2, 1.8)]
+)
 @pytest.mark.parametrize("h0", [0.0, 0.21, -0.29])
-def test_slopes(step, h0):
+def test_slopes(step, h0, share):
     def h(**changed):
-        own = {"step": step, "h0": h0, "limit": LIMIT, "n": N, "share": SHARE, **changed}
+        own = {"step": step, "h0": h0, "limit": LIMIT, "n": N, "share": share, **changed}
         return yielded(own["step"], 0.0, own["h0"], own["limit"], own["n"], own["share"], np.empty(6))
 
     d = np.empty(5)
-    yields(step, h0, h(), LIMIT, N, SHARE, np.empty(6), d)
-    for i, (name, at) in enumerate({"step": step, "h0": h0, "limit": LIMIT, "n": N, "share": SHARE}.items()):
+    yields(step, h0, h(), LIMIT, N, share, np.empty(6), d)
+    for i, (name, at) in enumerate({"step": step, "h0": h0, "limit": LIMIT, "n": N, "share": share}.items()):
         e = 1e-6 * max(abs(at), 0.1)
         np.testing.assert_allclose(d[i], (h(**{name: at + e}) - h(**{name: at - e})) / (2 * e), rtol=1e-4, atol=1e-8)
 

@@ -24,7 +24,7 @@ from labnnum.diagnosis.nonlinear.decision import (
     unsimulated,
 )
 from labnnum.diagnosis.nonlinear.detect import repeating, signs
-from labnnum.diagnosis.nonlinear.effort import LAST, counted, spent, tired
+from labnnum.diagnosis.nonlinear.effort import counted, tired, weary
 from labnnum.diagnosis.nonlinear.explore import LONG, NOISY, Prospect, explore, resumed
 from labnnum.diagnosis.nonlinear.fast import fast_kin
 from labnnum.diagnosis.nonlinear.fitting import Made
@@ -301,7 +301,7 @@ class _Search:
         if done is None:
             return None
         found, laws = done
-        if not self.identified and spent() < LAST:
+        if not (self.identified or weary()):
             found, laws = self._in_company(found, laws)
         if not self.identified:
             laws = softened(found, laws, self.scatter, self.limits.further)

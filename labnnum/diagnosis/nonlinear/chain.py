@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, of_fit
 from labnnum.diagnosis.nonlinear.decision import MOST_IDENTIFIED
-from labnnum.diagnosis.nonlinear.effort import spent, tired
+from labnnum.diagnosis.nonlinear.effort import exhausted, spent, tired
 from labnnum.diagnosis.nonlinear.elsewhere import answered, as_well
 from labnnum.diagnosis.nonlinear.errors import errors_of, settled_on
 from labnnum.diagnosis.nonlinear.explore import LINES, LONG, MISLED, STRAINED, engine_start, looked, nearest
@@ -116,7 +116,7 @@ def chain(
     refused = False
     for kind in ("named", "named", "own", "general") if identified else ("named",):
         full = len({(t.name, t.spot.place) for t in laws if t.named}) >= MOST_IDENTIFIED
-        if (kind == "named" and refused) or (kind == "own" and full):
+        if (kind == "named" and (refused or exhausted())) or (kind == "own" and full):
             continue
         progress(f"looking for nonlinear law {len(laws) + 1}")
         promise, worth = (GAIN, GAIN) if identified else (PROMISE, WORTH)

@@ -10,6 +10,7 @@ from contextvars import ContextVar
 from threading import Lock
 
 _spent: ContextVar[list[int] | None] = ContextVar("spent", default=None)
+_whole: ContextVar[list[int] | None] = ContextVar("whole", default=None)
 _adding = Lock()
 UNIT = 1e-10
 """Nominal seconds that are counted as one: whole numbers add up to the same in any order, whatever the threads do."""
@@ -25,32 +26,53 @@ ONCE = 8.0
 """Nominal seconds of one diagnosis after which laws are not simulated once more from far away."""
 TWO = 10.0
 """The same of one search for two laws at once."""
+WHOLE = 45.0
+"""The same of all searches of one diagnosis, those that count anew included: what was found by then is the answer, and
+what would only ask whether another structure, level or channel does better is not begun."""
 
 
 @contextmanager
 def counted() -> Generator[None]:
-    """Counts from nothing while it lasts."""
+    """Counts from nothing while it lasts; within another count, what it counts is that one's whole effort too."""
     token = _spent.set([0])
+    outer = None if _whole.get() is not None else _whole.set([0])
     try:
         yield
     finally:
         _spent.reset(token)
+        if outer is not None:
+            _whole.reset(outer)
 
 
 def marched(steps: int, modes: int, forces: int, tangents: int) -> None:
     """One more march."""
-    total = _spent.get()
-    if total is not None:
-        with _adding:
-            total[0] += steps * forces * (STEP * forces + TANGENT * modes * tangents)
+    units = steps * forces * (STEP * forces + TANGENT * modes * tangents)
+    with _adding:
+        for total in (_spent.get(), _whole.get()):
+            if total is not None:
+                total[0] += units
 
 
 def tired() -> bool:
-    """Whether a diagnosis has taken so long that nothing more is sought."""
-    return spent() > LONG
+    """Whether a search has taken so long that nothing more is sought."""
+    return spent() > LONG or exhausted()
+
+
+def weary() -> bool:
+    """Whether it has taken so long that rivals are not asked either."""
+    return spent() > LAST or exhausted()
+
+
+def exhausted() -> bool:
+    """Whether all searches of a diagnosis have taken so long that no other is begun."""
+    return _seconds(_whole) > WHOLE
 
 
 def spent() -> float:
     """Nominal seconds so far; 0 where nothing is counted."""
-    total = _spent.get()
+    return _seconds(_spent)
+
+
+def _seconds(count: ContextVar[list[int] | None]) -> float:
+    total = count.get()
     return 0.0 if total is None else UNIT * total[0]

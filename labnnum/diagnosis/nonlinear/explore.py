@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.engine import Engine, Point
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried
-from labnnum.diagnosis.nonlinear.effort import ONCE, spent
+from labnnum.diagnosis.nonlinear.effort import ONCE, exhausted, spent
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.force import N_P
 from labnnum.diagnosis.nonlinear.leads import law_leads, ranked
@@ -27,7 +27,9 @@ LAWS = (
     "cubic-stiffness", "quadratic-stiffness", "quadratic-damping", "coulomb-friction", "one-sided-gap", "clearance",
     "stick-slip",
 )  # fmt: skip
-"""Laws that are regressed on the recovered motion; hysteresis starts from stick-slip."""
+"""Laws that are tried from afar; hysteresis starts from stick-slip."""
+REGRESSED = (*LAWS, "stiffening")
+"""Laws that are regressed on the recovered motion."""
 NEAREST = 5
 """Spots, of either order, whose recovered motion is asked for every law."""
 IDLE = 0.8
@@ -132,7 +134,7 @@ def explore(
         near: list[Tried] = []
         shown = misled and carry_on and x is nominal and _shown(bench, base, rounds, leads)
         if misled and carry_on and x is nominal and not shown:
-            far = strong is not False and spent() < ONCE
+            far = strong is not False and spent() < ONCE and not exhausted()
             look = partial(looked, plain, spots=spots, unnamed=unnamed)
             held = contest(bench, nominal, found, LAWS, leads, progress, look) if far else Contest()
             near, pairs = list(held.near), held.pairs
@@ -221,7 +223,7 @@ def looked(
 ) -> tuple[list[Recovered], list[Lead]]:  # fmt: skip
     """Spots ranked by the forces recovered with the base at `x`, and what every law promises at the nearest."""
     background, found = recovered(plain, x, spots)
-    leads = [lead for q in nearest(found) for lead in law_leads(background, q, LAWS)]
+    leads = [lead for q in nearest(found) for lead in law_leads(background, q, REGRESSED)]
     if unnamed:
         leads += [lead for q in nearest(found) for lead in q.unnamed]
     return found, leads

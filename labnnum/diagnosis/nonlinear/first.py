@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,9 +29,9 @@ from labnnum.diagnosis.nonlinear.decision import (
     NonlinearAnswer,
 )
 from labnnum.diagnosis.nonlinear.detect import CHANGE, steadier
-from labnnum.diagnosis.nonlinear.effort import counted
+from labnnum.diagnosis.nonlinear.effort import counted, exhausted
 from labnnum.diagnosis.nonlinear.explore import STRAINED
-from labnnum.diagnosis.nonlinear.identified import LEAST, NEARLY, missing, own_scatter
+from labnnum.diagnosis.nonlinear.identified import LEAST, NEARLY, missing, own_scatter, settled
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.diagnosis.nonlinear.matched import matched, within
 from labnnum.diagnosis.nonlinear.mended import Fault, mended
@@ -134,12 +135,14 @@ class _Whole(Whole):
             return merged(found, rest, self.gate.named, self.signs, self.observations)
         found, clipped = self._restored(found)
         self.progress("searching for linear physics beside it")
+        moved = settled(self.engine, found.laws[-1].made) if self.nearly and found.named else None
+        self.again = self.again if moved is None else partial(self.again, on=moved)
         found, rest = self._supposing(found, self._rest(found))
         rest = self._confirming(found, rest)
         found, rest = self._alone(found, rest)
         unsure = self.periodic and found.lying is None and found.misfit > UNSURE
         doubted = doubted_by(rest, self.train) if unsure else None
-        if doubted is not None and not self.faults:
+        if doubted is not None and not (self.faults or exhausted()):
             self.progress("leaving out a channel that the law does not explain")
             second = self.law(self.engine, doubted=doubted, whole=False)
             n = len(self.train[0].frf.outputs)  # the one left out leaves nothing, and counts
@@ -184,7 +187,7 @@ class _Whole(Whole):
         """
         open_ = bool(found.named) and found.lying is None and rest.verdict == "unexplained" and not rest.named
         under = supposed(self.engine, rest) if open_ and not self.faults and not self.nearly else None
-        if under is None:
+        if under is None or exhausted():
             return found, rest
         self.progress("searching for the law with that in the model")
         before = self.train, self.test, self.usable
@@ -207,7 +210,7 @@ class _Whole(Whole):
         """A slider and the linear search beside it, in the stead of a law that yields and of a spring beside it; what
         they were where a slider alone does not do better.
         """
-        plain = found.study.engine is self.engine and found.lying is None and not self.faults
+        plain = found.study.engine is self.engine and found.lying is None and not (self.faults or exhausted())
         wide = added_to(self.engine, rest) if plain and rest.named else None
         one = self._one_for_two(found, Beneath([wide], [], ())) if wide is not None else None
         return (found, rest) if one is None or not one.linearised else (one, self._rest(one))

@@ -28,7 +28,7 @@ LAWS: dict[str, tuple[str, ...]] = {
 
 - cubic k3 z^3; quadratic k2 z^2; one-sided-gap k max(z - g, 0); clearance k beyond +-g; coulomb F sign(v);
   quadratic-damping c2 v |v|; stick-slip: a spring k_t in series with a slider that yields at F_s
-- hysteresis: k h, dh/dz = 1 - (b sign(v h) + 1 - b) |h / limit|^n
+- hysteresis: k h, dh/dz = 1 - (b sign(v h) + 1 - b) |h / limit|^n, with 2 - b at the sign where b is over 1
 - general: a smooth law without memory; see `labnnum.diagnosis.nonlinear.laws.general_basis`
 - sliders: sliders on equal springs side by side, k_t and F_s of all together, whose limits are spread evenly over the
   mean one times 1 - spread to 1 + spread (Iwan 1966); a fourth number, which no fit moves, says how many they are, and

@@ -14,6 +14,7 @@ from labnnum.diagnosis.nonlinear.effort import tired
 from labnnum.diagnosis.nonlinear.explore import LAWS
 from labnnum.diagnosis.nonlinear.fitting import Made, fit
 from labnnum.diagnosis.nonlinear.force import YIELDING
+from labnnum.diagnosis.nonlinear.laws import NAMES
 from labnnum.diagnosis.nonlinear.leads import OWN, general_lead, law_leads, ranked
 from labnnum.diagnosis.nonlinear.lines import Lines, choose_lines
 from labnnum.diagnosis.nonlinear.locate import Background, Lead, Spot, recover
@@ -137,7 +138,7 @@ def _again(lead: Lead, held: Sequence[Acting]) -> bool:
 
 def alike(a: str, b: str) -> bool:
     """Whether two laws at one place are of a kind."""
-    return a == b or (a in YIELDING and b in YIELDING)
+    return NAMES.get(a, a) == NAMES.get(b, b) or (a in YIELDING and b in YIELDING)
 
 
 def with_one_more(made: Made, lead: Lead, engine: Engine) -> NDArray[np.float64]:

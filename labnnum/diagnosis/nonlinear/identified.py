@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from labnnum.diagnosis.engine import Engine
+from labnnum.diagnosis.nonlinear.fitting import Made
 from labnnum.diagnosis.observe import Observation
 from labnnum.diagnosis.scatter import Scatter
+from labnnum.structures.modal import ModalStructure
 
 OWN = Scatter(
     frequency=0.01, damping=1.0, residue=0.2, shape=1e-4, gain=1e-5, phase=1e-5, complexity=1e-5, remainder=1e-3,
@@ -25,6 +30,23 @@ def own_scatter(error: float) -> Scatter:
     return replace(
         OWN, shape=max(OWN.shape, error / 2), remainder=max(OWN.remainder, 2 * error), floor=max(OWN.floor, error / 2)
     )
+
+
+def settled(engine: Engine, made: Made) -> ModalStructure | None:
+    """The identified structure with its modes where a law's fit has put them: at the quietest level, where they were
+    identified, the law moved and damped them already. None where a parameter of the model says where a mode lies.
+    """
+    base = engine.structure
+    assert isinstance(base, ModalStructure)
+    if any(isinstance(q, str) for mode in base.modes for q in (mode.frequency, mode.damping_ratio)):
+        return None
+    n, m = engine.theta0.size, engine.band_modes.size
+    order = np.argsort([float(mode.frequency) for mode in base.modes], kind="stable")
+    modes = list(base.modes)
+    for i, shift, log_zeta in zip(order[engine.band_modes], made.x[n : n + m], made.x[n + m : n + 2 * m], strict=True):
+        frequency = float(modes[i].frequency) * (1.0 + float(shift))
+        modes[i] = replace(modes[i], frequency=frequency, damping_ratio=float(np.exp(log_zeta)))
+    return replace(base, modes=tuple(modes))
 
 
 def missing(o: Observation, error: float) -> Observation:

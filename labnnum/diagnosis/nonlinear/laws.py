@@ -27,6 +27,10 @@ class LawShape:
     """Powers with which each parameter grows where the motion is read larger and the force smaller by one factor, which
     leaves what the law does to the structure as it was."""
     inner: tuple[str, ...] = ()
+    shaped: tuple[float, ...] = ()
+    """Where those begin, and about where they are expected, that only shape a loop."""
+    within: tuple[tuple[float, float], ...] = ()
+    """Bounds of these."""
 
     @property
     def code(self) -> int:
@@ -39,6 +43,12 @@ class LawShape:
         return LAWS[self.law]
 
 
+PASSIVE = 0.5
+"""Share of beta in a hysteretic law from which on no loop of it returns more than it took (Erlicher and Point 2004:
+gamma between -beta and beta); far below, the law is no loop but a spring that softens."""
+ELASTIC = 1.9
+"""The same that is two where nothing is lost."""
+
 SHAPES: dict[str, LawShape] = {
     "cubic-stiffness": LawShape("cubic", 1, False, (-4,)),
     "quadratic-stiffness": LawShape("quadratic", 1, False, (-3,)),
@@ -47,13 +57,27 @@ SHAPES: dict[str, LawShape] = {
     "coulomb-friction": LawShape("coulomb", 1, True, (-1,)),
     "quadratic-damping": LawShape("quadratic-damping", 1, True, (-3,)),
     "stick-slip": LawShape("stick-slip", 1, True, (-2, -1), ("slip",)),
-    "hysteresis": LawShape("hysteresis", 1, True, (-2, 1, 0, 0), ("length", "power", "share")),
+    "hysteresis": LawShape(
+        "hysteresis", 1, True, (-2, 1, 0, 0), ("length", "power", "share"), (1.5, 0.5), ((0.6, 6.0), (PASSIVE, 1.0))
+    ),
+    "stiffening": LawShape(
+        "hysteresis", 1, True, (-2, 1, 0, 0), ("length", "power", "share"), (1.0, 1.5), ((0.6, 6.0), (1.0, ELASTIC))
+    ),
     "general": LawShape("general", 10, False, (-3, -3, -4, -6, -3, -4, -4, -3, -3, -4)),
     "sliders": LawShape("sliders", 1, True, (-2, -1, 0), ("slip", "share")),
 }
-"""Mechanism id, or `sliders` for a stick-slip whose limits are spread, -> law."""
-NAMES = {"sliders": "stick-slip"}
+"""Mechanism id, `sliders` for a stick-slip whose limits are spread, or `stiffening` for hysteresis of the classes in
+which the two shares of its loop have opposite signs, which no slider comes near -> law."""
+NAMES = {"sliders": "stick-slip", "stiffening": "hysteresis"}
 """Mechanism that a law is named by, where that is not its own."""
+
+
+def form_of(mechanism: str, p: NDArray) -> str:
+    """The law that a mechanism with the parameters `p` is."""
+    if mechanism == "stick-slip" and p[2]:
+        return "sliders"
+    return "stiffening" if mechanism == "hysteresis" and p[3] > 1.0 else mechanism
+
 
 FRACTIONS = np.array([0.0, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92])
 """Gaps and slip motions that are tried, of the largest motion."""
@@ -72,8 +96,7 @@ def candidates(shape: LawShape, top: float) -> NDArray[np.float64]:
         row = np.zeros(N_P)
         row[0] = 1.0
         row[1] = fraction * top
-        if shape.law == "hysteresis":
-            row[2], row[3] = 1.5, 0.5
+        row[2 : 2 + len(shape.shaped)] = shape.shaped
         rows.append(row)
     return np.array(rows)
 

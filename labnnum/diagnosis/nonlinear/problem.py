@@ -80,9 +80,8 @@ class Acting:
         return replace(self, start=start)
 
 
-PASSIVE = 0.5
-"""Share of beta in a hysteretic law from which on no loop of it returns more than it took (Erlicher and Point 2004:
-gamma between -beta and beta); far below, the law is no loop but a spring that softens."""
+SHAPED = 0.7, 0.2
+"""Standard deviations of a loop's power and of the share of beta in it."""
 FEW = 1e-3
 """Least standard deviation of what modes above the band do at a place."""
 FREE = 0.3
@@ -154,8 +153,8 @@ class Joint:
         mean, std = [], []
         for t in self.terms:
             one_mean, one_std = t.start.copy()[: t.n], np.full(t.n, np.inf)
-            if t.mechanism == "hysteresis":
-                one_mean[2:4], one_std[2:4] = (1.5, 0.5), (0.7, 0.2)
+            if t.shape.shaped:
+                one_mean[2:4], one_std[2:4] = t.shape.shaped, SHAPED
             mean.append(one_mean)
             std.append(one_std)
         self.mean = np.concatenate([self.mean, *mean])
@@ -215,8 +214,8 @@ class Joint:
                 one_low[:2] = 1e-6 * s[:2]
             if t.shape.law == "sliders":
                 one_high[2] = 1.0
-            if t.shape.law == "hysteresis":
-                one_low[2:4], one_high[2:4] = (0.6, PASSIVE), (6.0, 1.0)
+            if t.shape.within:
+                one_low[2:4], one_high[2:4] = np.transpose(t.shape.within)
             if t.shape.law == "general":
                 unused = size == 0
                 one_low[unused], one_high[unused] = 0.0, 0.0

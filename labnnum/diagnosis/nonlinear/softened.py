@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried, leads_of
-from labnnum.diagnosis.nonlinear.effort import LAST, spent
+from labnnum.diagnosis.nonlinear.effort import weary
 from labnnum.diagnosis.nonlinear.explore import LONG
 from labnnum.diagnosis.nonlinear.further import needed
 from labnnum.diagnosis.nonlinear.stuck import smooth_of, spread_of
@@ -34,7 +34,7 @@ def softened(study: Study, laws: Sequence[Tried], scatter: Scatter, alarm: float
         Chi-square by which a law must be missed (`needed`).
     """
     last = laws[-1]
-    if len(laws) < 2 or last.made.data_part < LEAVES * last.made.count or spent() > LAST:
+    if len(laws) < 2 or last.made.data_part < LEAVES * last.made.count or weary():
         return list(laws)
     bench = Bench(study.engine, study.point, study.runs, scatter, ()).on(FINE).against(last)
     own, begin = leads_of(laws), last.made.x[: last.made.bare]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Tried, loudest, of_fit
 from labnnum.diagnosis.nonlinear.duet import duets
+from labnnum.diagnosis.nonlinear.effort import spent
 from labnnum.diagnosis.nonlinear.fitting import Made, calmed, fit
 from labnnum.diagnosis.nonlinear.laws import FRACTIONS, SHAPES, candidates, force_along
 from labnnum.diagnosis.nonlinear.leads import named_like, unnamed_like
@@ -65,6 +66,8 @@ BEHIND = 10.0
 CLEAR = 0.2
 """Part of what the base alone leaves with the widest tolerance below which a law is the one: others are then fitted at
 its place only."""
+FAR_OFF = 15.0
+"""Nominal seconds of one search from afar after which only the nearest law is followed."""
 HELPS = 0.9
 """Part of what the base alone leaves with the widest tolerance above which nothing is sought beside a law;"""
 HOPEFUL = 0.35
@@ -113,8 +116,8 @@ def contest(
         ahead, have = _foremost(seen), [q.spot.column for q in shown[0][1]]
         other = [q for q in ahead if not any(np.array_equal(q.spot.column, c) for c in have)]
         shown += [(alone.x, ahead, more), (x, other, ())]
-    glimpse = _glimpse(bench)
-    near, alone = _widest(glimpse, x, alone, shown, [q.spot for q in found], laws, ladder[0])
+    glimpse, latest = _glimpse(bench), spent() + FAR_OFF
+    near, alone = _widest(glimpse, x, alone, shown, [q.spot for q in found], laws, ladder[0], latest)
     wide = slackened(bench, ladder[0])
     if glimpse is not bench:
         whole = [wide.direct((t.made.x[: t.made.n_base],), of_fit(t), STEPS, soften=False) for t in near]
@@ -123,7 +126,7 @@ def contest(
         return Contest()
     told = not near[0].named and within(near[0], heard(bench, wide))
     firsts = [] if told else [t for t in near if t.named]
-    pairs = duets(bench, firsts, [q.spot for q in found], laws, ladder)
+    pairs = [] if spent() > latest else duets(bench, firsts, [q.spot for q in found], laws, ladder)
     if near[0].cost * alone.count > HOPEFUL * alone.objective * near[0].made.count and not pairs:
         return Contest()
     near = near[:1] if pairs else near
@@ -131,7 +134,7 @@ def contest(
     for slack in (*ladder[2 if jumps else 1 :], 0.0):
         on, steps = (slackened(bench, slack), STEPS) if slack else (bench, LAST)
         carried: list[Tried] = []
-        for t in near:
+        for t in near[: 1 if spent() > latest else len(near)]:
             racing = on.against(*(one for one in carried if one.named))
             made = racing.carry_on(t, steps, last=sharp(t) and slack < ROUGH)
             carried.append(_unbent(racing, x, made, steps))
@@ -164,20 +167,28 @@ Shown = tuple[NDArray, Sequence[Recovered], Sequence[Lead]]
 
 def _widest(
     bench: Bench, x: NDArray, base: Made, shown: Sequence[Shown], spots: Sequence[Spot], laws: Sequence[str],
-    slack: float,
+    slack: float, latest: float,
 ) -> tuple[list[Tried], Made]:  # fmt: skip
-    """Laws fitted with the widest tolerance, best first, and what the base alone leaves, begun from `base`."""
+    """Laws fitted with the widest tolerance, best first, and what the base alone leaves, begun from `base`. After
+    `latest` of the search no other form or place of those that were begun is tried.
+    """
     wide = slackened(bench, slack)
     joint = wide.joint([])
     alone = fit(joint, joint.start(base.x), [None] * len(wide.runs), steps=STEPS)
     clear, noise = CLEAR * alone.data_part, heard(bench, wide)
     promised = _once(_promising(bench, *one, laws, slack) for one in shown)
     begun = _begun(wide, promised, BEGUN if len(shown) == 1 else BOTH, clear)
-    begun += _kin(wide, promised, begun, clear)
-    near = [wide.carry_on(t, SETTLED, last=False) for t in nearest_of(begun, CARRIED, BEHIND)]
-    near = nearest_of([*near, *_turned(wide, x, near, min(clear / alone.count, noise))], CARRIED)
-    near = nearest_of([*near, *moved(wide, x, near, spots, noise)], CARRIED)
-    return sorted([*near, *_kindred(wide, near, laws, noise)], key=lambda t: t.cost), alone
+    if spent() < latest:
+        begun += _kin(wide, promised, begun, clear)
+    near: list[Tried] = []
+    for t in nearest_of(begun, CARRIED, BEHIND):
+        near.append(wide.carry_on(t, SETTLED, last=False) if spent() < latest or not near else t)
+    if spent() < latest:
+        near = nearest_of([*near, *_turned(wide, x, near, min(clear / alone.count, noise))], CARRIED)
+    if spent() < latest:
+        near = nearest_of([*near, *moved(wide, x, near, spots, noise)], CARRIED)
+    kin = _kindred(wide, near, laws, noise) if spent() < latest else []
+    return sorted([*near, *kin], key=lambda t: t.cost), alone
 
 
 def _glimpse(bench: Bench) -> Bench:

@@ -30,7 +30,7 @@ from labnnum.diagnosis.nonlinear.decision import (
     UNCONFIRMED,
     NonlinearAnswer,
 )
-from labnnum.diagnosis.nonlinear.effort import counted
+from labnnum.diagnosis.nonlinear.effort import counted, exhausted
 from labnnum.diagnosis.nonlinear.explore import MISLED, NOISY, calmed
 from labnnum.diagnosis.nonlinear.fast import held_fast
 from labnnum.diagnosis.nonlinear.force import YIELDING
@@ -155,27 +155,29 @@ class Whole:
                 second = self._above(under)
                 if quiet.named and (second is None or second.reason == UNCONFIRMED or idle(second)):
                     return None  # with that in the model there is nothing nonlinear, or next to nothing
-        if not sure and second is not None and under is not None and dear(second):
+        if not sure and second is not None and under is not None and dear(second) and not exhausted():
             loose = self._let_go(second, under)
             second = loose if loose is not None and loose.named and total(loose) < total(second) else second
         if not sure and second is not None and better(second, NOISY):
             again = self._unsprung(second, under) if under is not None and twice(second) else None
             second = again if again is not None and again.named and BETTER * again.misfit < second.misfit else second
         elif not sure:
-            on_clamps = self._giving(parts) if early and parts is not None else None
+            on_clamps = self._giving(parts) if early and parts is not None and not exhausted() else None
             if on_clamps is not None:
                 self._stands_on(on_clamps)
                 return on_clamps
-            whole = self.law(self.engine, known=self.known, strong=False if early else None)
+            enough = exhausted() and second is not None and second.named
+            whole = None if enough else self.law(self.engine, known=self.known, strong=False if early else None)
             if found is None or (whole is not None and whole.misfit < found.misfit):
                 found = whole
-            if found is None or found.reason == UNCONFIRMED:
+            if not enough and (found is None or found.reason == UNCONFIRMED):
                 return None
-            if free and not early and not explains(found):
+            if free and not early and found is not None and not (explains(found) or (found.named and exhausted())):
                 under = self._quiet()[1]
                 second = self._above(under) if under is not None else None
         if under is not None and second is not None and (found is None or instead(second, found)):
-            one = self._one_for_two(second, replace(under, engines=[second.study.engine])) if not self.loose else None
+            fresh = not (self.loose or exhausted())
+            one = self._one_for_two(second, replace(under, engines=[second.study.engine])) if fresh else None
             self._rid_of(under)
             return one or second
         self.under = under
@@ -230,7 +232,7 @@ class Whole:
             one = self._with(under.faults, on)
             if made is None or (one is not None and one.misfit < made.misfit):
                 made = one
-            if made is not None and made.named:
+            if made is not None and (made.named or exhausted()):
                 break
         return made
 
@@ -352,7 +354,7 @@ class Whole:
 
     def from_below(self, found: NonlinearAnswer) -> NonlinearAnswer:
         """The law that the levels below the loudest one show, fitted to all, where what all show leaves too much."""
-        most = quieter_than(self.usable) if lost(found) and not self.nearly else 0.0
+        most = quieter_than(self.usable) if lost(found) and not (self.nearly or exhausted()) else 0.0
         if not most:
             return found
         self.progress("searching for the law at the quieter levels")
@@ -385,7 +387,7 @@ class Whole:
         """The law, sought once more where one that leaves too much, named or not, stands beside something linear that
         the base pays for, in the structure or on a channel.
         """
-        if not bought(found):
+        if not bought(found) or exhausted():
             return found
         if (second := self._over(found)) is not None:
             return second

@@ -1,8 +1,10 @@
 """Hysteresis (Bouc 1967, Wen 1976) over one step of a march, solved together with the force that it causes.
 
-With h the yielding part of the motion z, dh/dz = 1 - (b sign(dz h) + 1 - b) |h / limit|^n. Within a step h is taken
-at `lean` of the way: the middle where the step is short, its end where it is many limits long. In the middle of such a
-step the rule would overshoot the limit by as much as it had been below it, and ring from step to step.
+With h the yielding part of the motion z, dh/dz = 1 - (b sign(dz h) + 1 - b) |h / limit|^n up to b = 1, beyond which the
+sign has 2 - b: the two factors have opposite signs there and are one together, loading stiffens from b = 1.5 on, and
+the limit is where the way back is twice as stiff (the classes of Ismail, Ikhouane and Rodellar 2009). Within a step h
+is taken at `lean` of the way: the middle where the step is short, its end where it is many limits long. In the middle
+of such a step the rule would overshoot the limit by as much as it had been below it, and ring from step to step.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ from numba import njit
 
 ROUNDS = 60
 """Steps of the search for h, which is kept between bounds that close in."""
+RUNAWAY = 1e3
+"""Limits beyond which h is not followed where it stiffens without end."""
 CLOSE, NEWTON = 1e-13, 1e-9
 """Change of h, of its size, with which the search ends; by Newton's method, whose next step would be its square."""
 
@@ -33,7 +37,8 @@ def _rate(step, h0, h, limit, n, share, of):  # pragma: no cover - compiled
     lean, grows = _lean(q)
     at = lean * h + (1.0 - lean) * h0
     s = 1.0 if step * at > 0 else -1.0
-    a = share * s + 1.0 - share
+    turned = share > 1.0
+    a = (2.0 - share if turned else share) * s + 1.0 - share
     size = abs(at) / limit
     power = size**n
     slope = (-a * n * power / size / limit) * (1.0 if at > 0 else -1.0) if size > 1e-300 else 0.0
@@ -43,7 +48,7 @@ def _rate(step, h0, h, limit, n, share, of):  # pragma: no cover - compiled
     of[2] = turn * n / limit * (1.0 if step > 0 else -1.0)
     of[3] = a * n * power / limit - turn * q / limit
     of[4] = turn * abs(step) / limit
-    of[5] = -(s - 1.0) * power
+    of[5] = (s + 1.0) * power if turned else (1.0 - s) * power
     return 1.0 - a * power
 
 
@@ -53,6 +58,8 @@ def yielded(step, give, h0, limit, n, share, of):  # pragma: no cover - compiled
     if not limit > 0.0:
         return 0.0
     high = 3.0 * max(limit, abs(h0))
+    if share > 1.0:  # what stiffens may run away within a step, and from step to step
+        high = min(max(high, 3.0 * abs(step)), RUNAWAY * limit)
     low, h = -high, h0
     for _ in range(ROUNDS):
         moved = step - give * h
