@@ -48,6 +48,15 @@ def extended(tmp_path, model_text):
     return read_model(tmp_path / "extended.toml")
 
 
+def test_modes_that_were_identified_are_written_where_the_fit_has_them(tmp_path):
+    """Of a model by hand a frequency is what its author says; of one that was identified it is a measurement."""
+    off = text(TRUE).replace("frequency = 18.0", "frequency = 18.1")
+    for error, close in ((0.0, 18.1), (0.01, 18.0)):
+        model = extended(tmp_path, off.replace('kind = "modal"', f'kind = "modal"\nerror = {error}'))
+        written = sorted(m["frequency"] for m in model.raw["structure"]["mode"])
+        assert written == pytest.approx([10.0, close, 31.0], abs=0.01)
+
+
 def damping_of(model):
     found = modes(model.structure, model.structure.nominal)
     return found.damping_ratio[: len(TRUE)]

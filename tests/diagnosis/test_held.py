@@ -9,10 +9,11 @@ from labnnum.diagnosis.nonlinear.force import HELD
 from labnnum.diagnosis.nonlinear.locate import Lead
 from labnnum.identification import identify
 from labnnum.mechanisms import extend
+from labnnum.nonlinear import Element
 from labnnum.recording import Channel, Recording
 from labnnum.structures.modal import ModalStructure, Mode
 
-from .test_nonlinear import FORCE, PERIOD, RATE, chain, lines_of, multisine, spread_sliders
+from .test_nonlinear import FORCE, PERIOD, RATE, chain, joint_23, lines_of, multisine, spread_sliders
 from .test_nonlinear import marched as marched_at
 
 SENSORS = tuple(Channel(f"a{i}", "acceleration", "response", str(i), "x") for i in (1, 2, 3, 4))
@@ -72,3 +73,27 @@ def test_sliders_are_named_and_measured_without_a_model(monkeypatch):
     }  # fmt: skip
     again = diagnose(extend(base, [entry]), observations, places=PLACES)
     assert again.verdict in ("consistent", "parameters"), again.summary
+
+
+@pytest.mark.parametrize("share", [1.58, 1.3])
+def test_a_loop_whose_loading_yields_late_or_stiffens_is_named(monkeypatch, share):
+    """No slider comes near it, and the base was identified while it acted: what it did to the modes goes back."""
+    k, limit = 400.0, 0.02
+    loop = Element("bouc-wen", joint_23(), (k, (2 - share) / limit, (1 - share) / limit, 1.0))
+    observations = measured([loop], (0.3, 3.0, 9.0, 25.0), 0.02, monkeypatch)
+    base = identify(observations[0].frf, 40).structure
+    found = diagnose(base, observations, places=PLACES)
+    assert [(n.term.mechanism.id, str(n.place)) for n in found.named] == [("hysteresis", "joint 2-3")], found.summary
+    told = {p.name: v for p, v in zip(found.named[0].term.parameters, found.named[0].value, strict=True)}
+    assert told["k"] == pytest.approx(k, rel=0.05)
+    assert told["limit"] == pytest.approx(limit, rel=0.05)
+    assert (told["n"], told["beta_share"]) == pytest.approx((1.0, share), abs=0.02)
+    assert found.extended_error[1] < 0.1 * found.base_error[1]
+    (again,) = found.named[0].term.mechanism.elements(found.named[0].term, [k, limit, 1.0, share, 0.0])
+    assert again.parameters == pytest.approx(loop.parameters)
+    entry = {
+        "id": "hysteresis", "place": {"kind": "joint", "id": "2", "to": "3"}, "variant": found.named[0].term.variant,
+        "parameters": {name: float(v) for name, v in told.items()},
+    }  # fmt: skip
+    (known,) = known_laws(extend(base, [entry]))
+    assert known.mechanism == "stiffening"
