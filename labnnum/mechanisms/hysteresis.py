@@ -26,7 +26,7 @@ class Hysteresis(NonlinearMechanism):
     id = "hysteresis"
     title = "gradual yielding (Bouc-Wen)"
     equation = "f = k h, dh/dz = 1 - (b sign(z' h) + 1 - b) |h/limit|^n"
-    shows = "a loop with memory that yields gradually"
+    shows = "a loop with memory that yields gradually, or whose loading stiffens"
     told_apart = "stick-slip yields at once; n and b trade off"
     symbol = "loop"
     reference = "Wen (1976)"

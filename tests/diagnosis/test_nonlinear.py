@@ -11,7 +11,7 @@ from labnnum.diagnosis.nonlinear.detect import signs
 from labnnum.diagnosis.nonlinear.discrete import growth, held
 from labnnum.diagnosis.nonlinear.explore import engine_start
 from labnnum.diagnosis.nonlinear.fitting import fit
-from labnnum.diagnosis.nonlinear.force import CODES, HELD, count_of, odds_of, slips, solve_force
+from labnnum.diagnosis.nonlinear.force import CODES, HELD, count_of, odds_of, slips
 from labnnum.diagnosis.nonlinear.force import YIELDING as YIELDS
 from labnnum.diagnosis.nonlinear.joined import levels, with_friction
 from labnnum.diagnosis.nonlinear.locate import Lead, Spot
@@ -19,6 +19,7 @@ from labnnum.diagnosis.nonlinear.prescribed import along
 from labnnum.diagnosis.nonlinear.receptance import Base
 from labnnum.diagnosis.nonlinear.run import Run
 from labnnum.diagnosis.nonlinear.steady import Steady
+from labnnum.diagnosis.nonlinear.within import solved
 from labnnum.diagnosis.scatter import Scatter
 from labnnum.mechanisms.base import Place
 from labnnum.mechanisms.hysteresis import Hysteresis
@@ -173,10 +174,10 @@ def test_the_march_and_a_given_motion_have_one_force(law, p, held):
     whole[HELD] = held
     made = along(CODES[law], z, np.gradient(z, t), whole, 1)
     np.testing.assert_allclose(made, plain - held * p[0] * z, atol=1e-12 * np.abs(plain).max())
-    memory, lp, d = np.zeros(8), np.empty(10), np.empty(6)
+    memory = np.zeros(8)
     out = np.empty(z.size)
     for i, at in enumerate(z):
-        f = solve_force(CODES[law], at, 0.0, 0.0, 0.0, False, whole, memory, 0.0, 0.0, 1.0, lp, d)
+        f = solved(CODES[law], 0, at, 0.0, 0.0, 0.0, False, whole[None], memory[None], 0.0, 0.0, 1.0)
         out[i] = -f
         if law == "stick-slip":
             if abs(p[0] * (at - memory[0])) > p[1]:

@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from labnnum.diagnosis.nonlinear import yielding
-from labnnum.diagnosis.nonlinear.force import HELD, solve_force
+from labnnum.diagnosis.nonlinear.force import HELD
+from labnnum.diagnosis.nonlinear.within import solved
 from labnnum.diagnosis.nonlinear.yielding import yielded, yields
 
 LIMIT, N, SHARE = 0.3, 1.7, 0.6
@@ -16,7 +17,7 @@ LIMIT, N, SHARE = 0.3, 1.7, 0.6
 def along(motion, give=0.0, limit=LIMIT, n=N, share=SHARE):
     h, out = 0.0, []
     for a, b in pairwise(motion):
-        h = yielded(b - a, give, h, limit, n, share, np.empty(6))
+        h = yielded(b - a, give, h, limit, n, share)
         out.append(h)
     return np.array(out)
 
@@ -66,10 +67,10 @@ def test_what_stiffens_without_end_stays_a_number():
 def test_slopes(step, h0, share):
     def h(**changed):
         own = {"step": step, "h0": h0, "limit": LIMIT, "n": N, "share": share, **changed}
-        return yielded(own["step"], 0.0, own["h0"], own["limit"], own["n"], own["share"], np.empty(6))
+        return yielded(own["step"], 0.0, own["h0"], own["limit"], own["n"], own["share"])
 
     d = np.empty(5)
-    yields(step, h0, h(), LIMIT, N, share, np.empty(6), d)
+    yields(step, h0, h(), LIMIT, N, share, d)
     for i, (name, at) in enumerate({"step": step, "h0": h0, "limit": LIMIT, "n": N, "share": share}.items()):
         e = 1e-6 * max(abs(at), 0.1)
         np.testing.assert_allclose(d[i], (h(**{name: at + e}) - h(**{name: at - e})) / (2 * e), rtol=1e-4, atol=1e-8)
@@ -80,8 +81,8 @@ def test_a_force_agrees_with_the_motion_that_it_leaves(k):
     gz, z = 1e-3, 0.4
     p, memory = np.zeros(10), np.array([0.1, 0.2])
     p[:4] = k, LIMIT, N, SHARE
-    f = solve_force(7, z, 0.0, gz, 0.0, False, p, memory, 0.0, 0.0, 1.0, np.empty(10), np.empty(6))
-    h = yielded(z + gz * f - memory[0], 0.0, memory[1], LIMIT, N, SHARE, np.empty(6))
+    f = solved(7, 0, z, 0.0, gz, 0.0, False, p[None], memory[None], 0.0, 0.0, 1.0)
+    h = yielded(z + gz * f - memory[0], 0.0, memory[1], LIMIT, N, SHARE)
     np.testing.assert_allclose(-f / k, h, rtol=1e-6, atol=1e-9)
 
 
@@ -90,8 +91,8 @@ def test_so_does_one_whose_spring_the_structure_holds(k):
     gz, z = 1e-3, 0.4
     p, memory = np.zeros(10), np.array([0.1, 0.2])
     p[:4], p[HELD] = (k, LIMIT, N, SHARE), 1.0
-    f = solve_force(7, z, 0.0, gz, 0.0, False, p, memory, 0.0, 0.0, 1.0, np.empty(10), np.empty(6))
-    h = yielded(z + gz * f - memory[0], 0.0, memory[1], LIMIT, N, SHARE, np.empty(6))
+    f = solved(7, 0, z, 0.0, gz, 0.0, False, p[None], memory[None], 0.0, 0.0, 1.0)
+    h = yielded(z + gz * f - memory[0], 0.0, memory[1], LIMIT, N, SHARE)
     np.testing.assert_allclose(-f / k, h - (z + gz * f), rtol=1e-6, atol=1e-9)
 
 
@@ -100,7 +101,7 @@ def test_a_stiff_law_is_found_to_the_last_digit_of_the_motion():
     gz, z, k3 = 1e-3, 0.7, 1e30
     p = np.zeros(10)
     p[0] = k3
-    f = solve_force(0, z, 0.0, gz, 0.0, False, p, np.zeros(2), 0.0, 0.0, 1.0, np.empty(10), np.empty(6))
+    f = solved(0, 0, z, 0.0, gz, 0.0, False, p[None], np.zeros((1, 2)), 0.0, 0.0, 1.0)
     np.testing.assert_allclose(f, -z / gz, rtol=1e-8)
 
 
@@ -112,6 +113,6 @@ def test_a_step_takes_few_rounds(monkeypatch, give, top):
     monkeypatch.setattr(yielding, "_rate", lambda *a: asked.append(a) or rate(*a))
     h = moved = 0.0
     for z in top * LIMIT * np.sin(np.linspace(0, 40, 500)):
-        h = yielded.py_func(z - moved, give, h, LIMIT, N, SHARE, np.empty(6))
+        h = yielded.py_func(z - moved, give, h, LIMIT, N, SHARE)
         moved = z - give * h
     assert len(asked) < 5.5 * 500

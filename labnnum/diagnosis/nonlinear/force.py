@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
 from numba import njit
 
 from labnnum.compiled import up_to_date
 from labnnum.diagnosis.nonlinear.yielding import yielded, yields
 from labnnum.mechanisms.stick_slip import SLIDERS
-from labnnum.nonlinear import part_of_limit
 
 LAWS: dict[str, tuple[str, ...]] = {
     "cubic": ("k3",),
@@ -105,9 +103,8 @@ def _slide(z, p, memory, lp):  # pragma: no cover - compiled
 @njit(cache=True)
 def hysteretic(z, p, memory, d):  # pragma: no cover - compiled
     """H at z from (z0, h0), and in d: dh/dz, dh/dh0, dh/dlimit, dh/dn, dh/dshare."""
-    of = np.empty(6)
-    h = yielded(z - memory[0], 0.0, memory[1], p[1], p[2], p[3], of)
-    yields(z - memory[0], memory[1], h, p[1], p[2], p[3], of, d)
+    h = yielded(z - memory[0], 0.0, memory[1], p[1], p[2], p[3])
+    yields(z - memory[0], memory[1], h, p[1], p[2], p[3], d)
     return h
 
 
@@ -195,49 +192,3 @@ def place_held(v, gv, f, memory, step, d):  # pragma: no cover - compiled
     d[0] = 0.5 * step * before * (before - 2.0 * after) / fall**2
     d[1] = 0.5 * step * before**2 / fall**2
     return memory[0] + 0.5 * step * before**2 / fall
-
-
-PLAIN = 12
-"""Steps of Newton's method to a force, after which those that leave what it was found to lie between are replaced."""
-ROUNDING = 1e-15
-"""What numbers tell of motion and speed: of a stiff law most of both is taken back by its force."""
-
-
-@up_to_date
-@njit(cache=True)
-def solve_force(code, z, v, gz, gv, seated, p, memory, last, guess, step, lp, d):  # pragma: no cover - compiled
-    """Force f on the structure with f = -law(z + gz f, v + gv f); `last` is that of the step before.
-
-    Dry friction that is `seated` holds a place, else it holds the speed.
-    """
-    if code == 4 and seated:
-        slid = last if abs(last) >= p[0] else 0.0
-        return min(max((place_held(v, gv, slid, memory, step, d) - z) / gz, -p[0]), p[0])
-    if code == 4:
-        return -p[0] * part_of_limit(v, max(gv, 0.0) * p[0], memory[0])
-    if code == 7:
-        more = 1.0 / max(1.0 - p[HELD] * p[0] * gz, 1e-9)  # what is taken off the spring moves the place on
-        h = yielded(more * z - memory[0], more * gz * p[0], memory[1], p[1], p[2], p[3], d)
-        return -p[0] * (h - p[HELD] * more * (z - gz * p[0] * h))
-    f, low, high = guess, -np.inf, np.inf
-    for i in range(60):
-        value, dz, dv = law(code, z + gz * f, v + gv * f, p, memory, lp, d)
-        slope = 1 + dz * gz + dv * gv
-        if slope < 0.05:
-            slope = 0.05
-        if abs(f + value) <= ROUNDING * (abs(dz * z) + abs(dv * v)):
-            break
-        change = -(f + value) / slope
-        if change > 0.0:
-            low = max(low, f)
-        else:
-            high = min(high, f)
-        if i > PLAIN and low < high:  # Newton's method goes in circles: what lies between is halved
-            if not low < f + change < high and high - low < np.inf:
-                change = 0.5 * (low + high) - f
-        elif i > 20:
-            change *= 0.5
-        f += change
-        if abs(change) <= 1e-12 * abs(f):
-            break
-    return f

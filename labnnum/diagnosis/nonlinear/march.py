@@ -21,13 +21,12 @@ from labnnum.diagnosis.nonlinear.force import (
     part_of,
     place_held,
     slips,
-    solve_force,
 )
+from labnnum.diagnosis.nonlinear.plain import BEYOND, plain_march
+from labnnum.diagnosis.nonlinear.tangents import tangent_march
+from labnnum.diagnosis.nonlinear.within import solved
 from labnnum.diagnosis.nonlinear.yielding import yields
 from labnnum.diagnosis.sums import eliminate
-
-BEYOND = 1e60
-"""N; a force that is no number any more that could be squared."""
 
 
 @njit(cache=True, fastmath={"contract", "reassoc"}, error_model="numpy")
@@ -150,7 +149,6 @@ def march(
     nt, ns = X.shape[2], ds.shape[3]
     lp = np.empty((k, 10))
     d = np.empty((k, 6))
-    of = np.empty(6)
     new = np.empty(k)
     see = np.empty((k, 2))
     fz = np.empty(k)
@@ -159,7 +157,6 @@ def march(
     rhs = np.empty((k, nt))
     a = np.empty((k, k))
     bad, lost = 0, False
-    p0, memory0, lp0, d0 = p[0], memory[0], lp[0], d[0]
     tied = toward.shape[0] > 0
     wz, wv = gz, gv
     gz, gv, taken = _given_way(wz, wv, pull) if tied else (wz, wv, np.zeros((0, 0)))
@@ -175,7 +172,20 @@ def march(
             for t in range(nt):
                 X[0, r, t] -= w[e, r] * W1[0, r] * dpush[e, t]
                 X[1, r, t] -= w[e, r] * W1[1, r] * dpush[e, t]
-    for step in range(n):
+    short = not tied and (nt == 0 or (k == 1 and codes[0] <= 7))
+    if short and nt == 0:
+        bad, lost = plain_march(
+            T, V0, w, gz, gv, before, seated, stride, source, codes, p, x, f, memory, forces, motion
+        )  # fmt: skip
+    elif short:
+        lost = tangent_march(
+            T, V0, w, gz, gv, before, seated, stride, source, codes, p, x, f, memory, forces, motion, X, df, dmem, dp,
+            ds, dforces,
+        )  # fmt: skip
+    if lost:
+        x[:], X[:] = np.nan, np.nan
+        return bad
+    for step in range(0 if short else n):
         for e in range(k):
             see[e, 0] = source[step, e, 0]
             see[e, 1] = source[step, e, 1]
@@ -191,35 +201,29 @@ def march(
                 for o in range(k):
                     see[e, 0] -= wz[e, o] * drawn[o]
                     see[e, 1] -= wv[e, o] * drawn[o]
-        if k == 1:
-            new[0] = solve_force(
-                codes[0], see[0, 0], see[0, 1], gz[0, 0], gv[0, 0], seated[0], p0, memory0, f[0], f[0], stride, lp0, d0
-            )  # fmt: skip
-        else:
+        for e in range(k):
+            new[e] = f[e]
+        settled = False
+        for _ in range(80):
+            change = 0.0
+            size = 0.0
             for e in range(k):
-                new[e] = f[e]
-            settled = False
-            for _ in range(80):
-                change = 0.0
-                size = 0.0
-                for e in range(k):
-                    z, v = see[e, 0], see[e, 1]
-                    for o in range(k):
-                        if o != e:
-                            z += gz[e, o] * new[o]
-                            v += gv[e, o] * new[o]
-                    one = solve_force(
-                        codes[e], z, v, gz[e, e], gv[e, e], seated[e], p[e], memory[e], f[e], new[e], stride, lp[e],
-                        d[e],
-                    )  # fmt: skip
-                    change = max(change, abs(one - new[e]))
-                    size = max(size, abs(one))
-                    new[e] = one
-                if change <= 1e-10 * size:
-                    settled = True
-                    break
-            if not settled:
-                bad += 1
+                z, v = see[e, 0], see[e, 1]
+                for o in range(k):
+                    if o != e:
+                        z += gz[e, o] * new[o]
+                        v += gv[e, o] * new[o]
+                one = solved(
+                    codes[e], e, z, v, gz[e, e], gv[e, e], seated[e], p, memory, f[e], new[e], stride
+                )  # fmt: skip
+                change = max(change, abs(one - new[e]))
+                size = max(size, abs(one))
+                new[e] = one
+            if change <= 1e-10 * size:
+                settled = True
+                break
+        if not settled:
+            bad += 1
         for e in range(k):
             z, v = see[e, 0], see[e, 1]
             for o in range(k):
@@ -297,7 +301,7 @@ def march(
                 if code == 7 and p[e, 0] > 0.0:
                     z = motion[step, e, 0]
                     h = p[e, HELD] * z - new[e] / p[e, 0]
-                    yields(z - memory[e, 0], memory[e, 1], h, p[e, 1], p[e, 2], p[e, 3], of, d[e])
+                    yields(z - memory[e, 0], memory[e, 1], h, p[e, 1], p[e, 2], p[e, 3], d[e])
                     lp[e, 0] = h - p[e, HELD] * z
                     fz[e], fv[e] = p[e, 0] * (d[e, 0] - p[e, HELD]), 0.0
                     for i in range(3):

@@ -20,10 +20,9 @@ def _loop(z, p, turns):  # pragma: no cover - compiled
     if limit <= 0.0:
         out[:] = 0.0
         return out
-    of = np.empty(6)
     for _ in range(turns):
         for i in range(n):
-            h = yielded(z[i] - last, 0.0, h, limit, power, share, of)
+            h = yielded(z[i] - last, 0.0, h, limit, power, share)
             last = z[i]
             out[i] = p[0] * h
     return out

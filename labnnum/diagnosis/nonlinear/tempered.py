@@ -240,7 +240,7 @@ SIMILAR, NAMELESS = 0.4, 4
 """Correlation with the force of the nearest law from which one without a name is tried instead, and how many are."""
 
 
-RELATED = 5.0
+RELATED = 10.0
 """Cost, of the least, above which a law is not tried in another form."""
 
 

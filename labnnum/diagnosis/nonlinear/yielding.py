@@ -28,10 +28,10 @@ def _lean(q):  # pragma: no cover - compiled
     return 1.0 - 0.5 / (q * q), 1.0 / (q * q * q)
 
 
-@njit(cache=True)
-def _rate(step, h0, h, limit, n, share, of):  # pragma: no cover - compiled
-    """dh/dz within the step; in `of` its slopes to h0, h, step, limit, n and share; that to n without what the power
-    itself makes of it, which `yields` alone asks for.
+@njit(cache=True, inline="always")
+def _rate(step, h0, h, limit, n, share):  # pragma: no cover - compiled
+    """dh/dz within the step, and its slopes to h0, h, step, limit, n and share; that to n without what the power itself
+    makes of it, which `yields` alone asks for.
     """
     q = abs(step) * n / limit
     lean, grows = _lean(q)
@@ -43,17 +43,14 @@ def _rate(step, h0, h, limit, n, share, of):  # pragma: no cover - compiled
     power = size**n
     slope = (-a * n * power / size / limit) * (1.0 if at > 0 else -1.0) if size > 1e-300 else 0.0
     turn = slope * (h - h0) * grows
-    of[0] = slope * (1.0 - lean)
-    of[1] = slope * lean
-    of[2] = turn * n / limit * (1.0 if step > 0 else -1.0)
-    of[3] = a * n * power / limit - turn * q / limit
-    of[4] = turn * abs(step) / limit
-    of[5] = (s + 1.0) * power if turned else (1.0 - s) * power
-    return 1.0 - a * power
+    to_step = turn * n / limit * (1.0 if step > 0 else -1.0)
+    to_limit = a * n * power / limit - turn * q / limit
+    to_share = (s + 1.0) * power if turned else (1.0 - s) * power
+    return 1.0 - a * power, slope * (1.0 - lean), slope * lean, to_step, to_limit, turn * abs(step) / limit, to_share
 
 
 @njit(cache=True)
-def yielded(step, give, h0, limit, n, share, of):  # pragma: no cover - compiled
+def yielded(step, give, h0, limit, n, share):  # pragma: no cover - compiled
     """H at the end of a step of `step - give h`: `give` is what the force of h takes back of the motion, per h."""
     if not limit > 0.0:
         return 0.0
@@ -63,13 +60,13 @@ def yielded(step, give, h0, limit, n, share, of):  # pragma: no cover - compiled
     low, h = -high, h0
     for _ in range(ROUNDS):
         moved = step - give * h
-        rate = _rate(moved, h0, h, limit, n, share, of)
+        rate, _, to_h, to_step, _, _, _ = _rate(moved, h0, h, limit, n, share)
         gap = h - h0 - moved * rate
         if gap > 0.0:
             high = h
         else:
             low = h
-        slope = 1.0 + give * (rate + moved * of[2]) - moved * of[1]
+        slope = 1.0 + give * (rate + moved * to_step) - moved * to_h
         new = h - gap / slope if slope > 0.0 else low
         close = slope > 0.0 and abs(new - h) <= NEWTON * (abs(h) + abs(h0))  # such a step may end on a bound
         if not (close or low < new < high):
@@ -82,19 +79,19 @@ def yielded(step, give, h0, limit, n, share, of):  # pragma: no cover - compiled
 
 
 @njit(cache=True)
-def yields(step, h0, h, limit, n, share, of, d):  # pragma: no cover - compiled
+def yields(step, h0, h, limit, n, share, d):  # pragma: no cover - compiled
     """Slopes of h at the end of a step to z, h0, limit, n and share, in d."""
     if not limit > 0.0:
         d[:] = 0.0
         return
-    rate = _rate(step, h0, h, limit, n, share, of)
+    rate, to_h0, to_h, to_step, to_limit, to_n, to_share = _rate(step, h0, h, limit, n, share)
     lean, _ = _lean(abs(step) * n / limit)
     size = abs(lean * h + (1.0 - lean) * h0) / limit
     if size > 1e-12:
-        of[4] -= (1.0 - rate) * np.log(size)
-    down = 1.0 / max(1.0 - step * of[1], 0.2)
-    d[0] = (rate + step * of[2]) * down
-    d[1] = (1.0 + step * of[0]) * down
-    d[2] = step * of[3] * down
-    d[3] = step * of[4] * down
-    d[4] = step * of[5] * down
+        to_n -= (1.0 - rate) * np.log(size)
+    down = 1.0 / max(1.0 - step * to_h, 0.2)
+    d[0] = (rate + step * to_step) * down
+    d[1] = (1.0 + step * to_h0) * down
+    d[2] = step * to_limit * down
+    d[3] = step * to_n * down
+    d[4] = step * to_share * down
