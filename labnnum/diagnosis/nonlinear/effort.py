@@ -14,8 +14,10 @@ _whole: ContextVar[list[int] | None] = ContextVar("whole", default=None)
 _adding = Lock()
 UNIT = 1e-10
 """Nominal seconds that are counted as one: whole numbers add up to the same in any order, whatever the threads do."""
-STEP, TANGENT = 2000, 6
-"""Units of a step of the march for each pair of forces, and of one mode's tangent for each force."""
+STEP, TANGENT, TRANSFORM = 2000, 6, 100
+"""Units of a step of the march for each pair of forces, of one mode's tangent for each force, and of a sample of a
+tangent that is transformed to lines or from them.
+"""
 
 
 LONG = 30.0
@@ -46,9 +48,20 @@ def counted() -> Generator[None]:
 
 def marched(steps: int, modes: int, forces: int, tangents: int) -> None:
     """One more march."""
-    units = steps * forces * (STEP * forces + TANGENT * modes * tangents)
+    _add(steps * forces * (STEP * forces + TANGENT * modes * tangents), _spent, _whole)
+
+
+def transformed(samples: int, rows: int) -> None:
+    """The tangents of a march, to lines or from them: the whole diagnosis counts that too, since of long records it is
+    most of the time.
+    """
+    _add(TRANSFORM * samples * rows, _whole)
+
+
+def _add(units: int, *counts: ContextVar[list[int] | None]) -> None:
     with _adding:
-        for total in (_spent.get(), _whole.get()):
+        for count in counts:
+            total = count.get()
             if total is not None:
                 total[0] += units
 

@@ -23,7 +23,7 @@ from labnnum.diagnosis.nonlinear.force import (
     slips,
 )
 from labnnum.diagnosis.nonlinear.plain import BEYOND, plain_march
-from labnnum.diagnosis.nonlinear.tangents import tangent_march
+from labnnum.diagnosis.nonlinear.tangents import slopes_of, tangent_march
 from labnnum.diagnosis.nonlinear.within import solved
 from labnnum.diagnosis.nonlinear.yielding import yields
 from labnnum.diagnosis.sums import eliminate
@@ -157,6 +157,12 @@ def march(
     rhs = np.empty((k, nt))
     a = np.empty((k, k))
     bad, lost = 0, False
+    low, high = nt, 0  # tangents to parameters
+    for t in range(nt):
+        for e in range(k):
+            for i in range(dp.shape[1]):
+                if dp[e, i, t] != 0.0:
+                    low, high = min(low, t), t + 1
     tied = toward.shape[0] > 0
     wz, wv = gz, gv
     gz, gv, taken = _given_way(wz, wv, pull) if tied else (wz, wv, np.zeros((0, 0)))
@@ -262,6 +268,7 @@ def march(
                             dsee[e, 1, t] -= wv[e, o] * ddrawn[o, t]
             for e in range(k):
                 code = codes[e]
+                from_was = 0.0
                 if code == 4 and seated[e]:
                     holds = abs(new[e]) < p[e, 0]
                     slid = abs(f[e]) >= p[e, 0]
@@ -306,18 +313,23 @@ def march(
                     fz[e], fv[e] = p[e, 0] * (d[e, 0] - p[e, HELD]), 0.0
                     for i in range(3):
                         lp[e, i + 1] = p[e, 0] * d[e, i + 2]
+                elif code < 7:
+                    fz[e], fv[e], lp[e, 0], lp[e, 1], from_was = slopes_of(
+                        code, motion[step, e, 0], motion[step, e, 1], p[e, 0], p[e, 1], memory[e, 0], p[e, HELD]
+                    )  # fmt: skip
+                    lp[e, 2], lp[e, 3] = 0.0, 0.0
                 else:
                     _, fz[e], fv[e] = law(code, motion[step, e, 0], motion[step, e, 1], p[e], memory[e], lp[e], d[e])
                 for t in range(nt):
                     rhs[e, t] = 0.0
                 for i in range(4 if code != 8 else 10):
                     if lp[e, i] != 0.0:
-                        for t in range(nt):
+                        for t in range(low, high):
                             rhs[e, t] -= lp[e, i] * dp[e, i, t]
-                if code == 6 and abs(p[e, 0] * (motion[step, e, 0] - memory[e, 0])) <= p[e, 1]:
+                if from_was != 0.0:
                     for t in range(nt):
-                        rhs[e, t] += p[e, 0] * dmem[e, 0, t]
-                elif code == 7:
+                        rhs[e, t] -= from_was * dmem[e, 0, t]
+                if code == 7:
                     for t in range(nt):
                         rhs[e, t] -= p[e, 0] * (d[e, 1] * dmem[e, 1, t] - d[e, 0] * dmem[e, 0, t])
                 if code == 9:
@@ -343,6 +355,11 @@ def march(
             if k == 1:
                 for t in range(nt):
                     df[0, t] = rhs[0, t] / a[0, 0]
+            elif k == 2:
+                over = 1.0 / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
+                for t in range(nt):
+                    df[0, t] = over * (a[1, 1] * rhs[0, t] - a[0, 1] * rhs[1, t])
+                    df[1, t] = over * (a[0, 0] * rhs[1, t] - a[1, 0] * rhs[0, t])
             else:
                 eliminate(a, rhs)
                 df[:] = rhs

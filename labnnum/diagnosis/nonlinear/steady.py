@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 
 from labnnum.diagnosis.nonlinear.discrete import Discrete, described, discrete, feedback
-from labnnum.diagnosis.nonlinear.effort import marched
+from labnnum.diagnosis.nonlinear.effort import marched, transformed
 from labnnum.diagnosis.nonlinear.force import CODES, N_P, remembered
 from labnnum.diagnosis.nonlinear.march import march
 from labnnum.diagnosis.nonlinear.orbit import CLOSED, Marched, Orbit, Slopes, closed, parts_of, relative, state_of
@@ -32,6 +32,8 @@ PASSES = (4, 2)
 """Marches over a run that does not close, at most, from nothing and from a neighbour: each corrects the one before."""
 
 
+SPEEDS = [CODES[law] for law in ("coulomb", "quadratic-damping", "general")]
+"""Laws that feel the speed at their place."""
 FREE = np.zeros((0, 0))
 """No tie (see `march`)."""
 
@@ -90,19 +92,29 @@ class Steady:
         """Tangents (n, k, t) to spectra (t, k, n_lines), in single precision."""
         if self.growth is not None:
             time = time / self.growth[:, None, None]
+        transformed(self.n, time.shape[1] * time.shape[2])
         rows = np.ascontiguousarray(np.moveaxis(time, 0, -1).swapaxes(0, 1), np.float32)
         return np.asarray(np.asarray(rfft(rows))[..., : self.lines] * np.float32(2 / self.n), np.complex128)
 
-    def pushed(self, push: NDArray, s: NDArray) -> NDArray[np.float32]:
-        """Sources (n, k, 2, t) of tangents whose motions' spectra are (t, k, n_lines), in single precision."""
+    def pushed(self, push: NDArray, s: NDArray, speeds: bool = True) -> NDArray[np.float32]:
+        """Sources (n, k, 2, t) of tangents whose motions' spectra are (t, k, n_lines), in single precision; without the
+        speeds where nothing feels them.
+        """
         n_t, k, _ = push.shape
-        full = np.zeros((self.n // 2 + 1, k, 2, n_t), precise(self.run))
+        full = np.zeros((self.n // 2 + 1, k, 2 if speeds else 1, n_t), precise(self.run))
         scaled = np.asarray(push.transpose(2, 1, 0) * (self.n / 2), full.dtype)
-        full[: self.lines, :, 0], full[: self.lines, :, 1] = scaled, np.asarray(s, full.dtype)[:, None, None] * scaled
+        full[: self.lines, :, 0] = scaled
+        if speeds:
+            full[: self.lines, :, 1] = np.asarray(s, full.dtype)[:, None, None] * scaled
         time = np.asarray(irfft(full, self.n, axis=0, overwrite_x=True))
         if self.growth is not None:
             time = time * self.growth[:, None, None, None]
-        return np.ascontiguousarray(time, np.float32)
+        transformed(self.n, full.shape[1] * full.shape[2] * n_t)
+        if speeds:
+            return np.ascontiguousarray(time, np.float32)
+        out = np.zeros((self.n, k, 2, n_t), np.float32)
+        out[:, :, 0] = time[:, :, 0]
+        return out
 
     def source(self, r: Receptance, made: Discrete, force: NDArray) -> NDArray[np.float64]:
         """Motion (n, k, 2) at the places that the march does not produce itself."""
@@ -271,7 +283,7 @@ class Steady:
             push = dz * (r.gain * self.run.u)
             for c in range(self.k):
                 push = push + dg[:, :, c] * orbit.force[c]
-            ds = self.pushed(push, r.s)
+            ds = self.pushed(push, r.s, orbit.tie is not None or bool(np.isin(self.codes, SPEEDS).any()))
         if not self.run.lasting:
             return self._open_slopes(r, p, orbit, base, vary, ds)
         one = self._march(made, source, p, orbit, homogeneous=True, vary=vary, ds=ds)

@@ -21,7 +21,7 @@ HOLDS = 1e30
 
 
 @njit(cache=True, inline="always")
-def _slopes(code, z, v, k, gap, place, held):  # pragma: no cover - compiled
+def slopes_of(code, z, v, k, gap, place, held):  # pragma: no cover - compiled
     """Slopes of the opposing force to z, v, the first and the second parameter, and to where a slider stood."""
     if code == 0:
         return 3.0 * k * z * z, 0.0, z * z * z, 0.0, 0.0
@@ -132,7 +132,7 @@ def tangent_march(
             else:
                 l0, d[:] = 0.0, 0.0
         else:
-            fz, fv, l0, l1, from_was = _slopes(code, z, v, k, gap, memory[0, 0], held)
+            fz, fv, l0, l1, from_was = slopes_of(code, z, v, k, gap, memory[0, 0], held)
         if fz > 1e29:  # dry friction holds its place
             for t in range(nt):
                 if turned:
