@@ -116,7 +116,8 @@ def chain(
     refused = False
     for kind in ("named", "named", "own", "general") if identified else ("named",):
         full = len({(t.name, t.spot.place) for t in laws if t.named}) >= MOST_IDENTIFIED
-        if (kind == "named" and (refused or exhausted())) or (kind == "own" and full):
+        weary = exhausted() and not identified  # other structures were asked before this one
+        if (kind == "named" and (refused or weary)) or (kind == "own" and full):
             continue
         progress(f"looking for nonlinear law {len(laws) + 1}")
         promise, worth = (GAIN, GAIN) if identified else (PROMISE, WORTH)

@@ -68,12 +68,12 @@ def _add(units: int, *counts: ContextVar[list[int] | None]) -> None:
 
 def tired() -> bool:
     """Whether a search has taken so long that nothing more is sought."""
-    return spent() > LONG or exhausted()
+    return spent() > LONG
 
 
 def weary() -> bool:
     """Whether it has taken so long that rivals are not asked either."""
-    return spent() > LAST or exhausted()
+    return spent() > LAST
 
 
 def exhausted() -> bool:

@@ -46,8 +46,10 @@ class LawShape:
 PASSIVE = 0.5
 """Share of beta in a hysteretic law from which on no loop of it returns more than it took (Erlicher and Point 2004:
 gamma between -beta and beta); far below, the law is no loop but a spring that softens."""
-ELASTIC = 1.9
-"""The same that is two where nothing is lost."""
+ELASTIC = 1.7
+"""The same of a loop that stiffens, up to which it loses enough to be told from a hardening spring; with two it loses
+nothing.
+"""
 
 SHAPES: dict[str, LawShape] = {
     "cubic-stiffness": LawShape("cubic", 1, False, (-4,)),
