@@ -9,13 +9,15 @@ from scipy.integrate import solve_ivp
 from labnnum.errors import ConfigError
 from sessions.prove.cases import BESIDE_LAWS, KINDS, LAWS, conceal, fits, make_case
 from sessions.prove.referee import misfit
-from sessions.prove.suite import draw
+from sessions.prove.run import TOOL, answer
+from sessions.prove.suite import Ticket, draw
 from sessions.prove.truth import fe, march
-from sessions.prove.truth.nonlinear import coarser, coupling, finer, moving_alike, nonlinear, stretched, stroke
+from sessions.prove.truth.nonlinear import coarser, coupling, finer, moving_alike, nonlinear, stretch, stretched, stroke
 from sessions.prove.truth.physics import STRUCTURAL
 from sessions.prove.truth.respond import answers
 from sessions.prove.truth.session import ramped
 from sessions.prove.truth.state import LawTerm, plant
+from sessions.prove.visible import misfits
 
 
 def chain_state(k3):
@@ -112,6 +114,27 @@ def test_every_law_sits_somewhere_and_is_told_in_the_truth(kind, law):
     assert fault["place"]["kind"] in ("ground", "joint")
     assert fault["parameters"]
     assert len(case.state.laws) == 1
+
+
+def test_a_law_takes_no_more_stiffness_than_is_there_whatever_stands_beside_it():
+    beside = {"support-compliance": 0.8, "quadratic-stiffness": 0.8}
+    for faults in (tuple(beside), tuple(reversed(beside))):
+        state = conceal(4900000057, "frame", faults, tuple(beside[f] for f in faults)).state
+        k2, last = state.laws[0].constants
+        assert 2 * abs(k2) * last == pytest.approx(stretch(state, state.laws[0].row[None])[2], rel=1e-3)
+        assert tuple(f.mechanism for f in state.faults) == faults
+
+
+def test_a_structure_that_runs_away_cannot_be_measured_and_is_listed(tmp_path, monkeypatch):
+    state = chain_state(-1e18)
+    rate = 4 * state.bench.band[1]
+    with pytest.raises(FloatingPointError, match="runs away"):
+        nonlinear(state, blow(600, rate), rate)
+    monkeypatch.setattr(Ticket, "conceal", lambda self: replace(conceal(31, "chain", "cubic-stiffness"), state=state))
+    ticket = Ticket("case0001", 31, "nonlinear", "chain", ("cubic-stiffness",), (0.5,), "hammer")
+    assert answer(ticket, tmp_path, False, TOOL) == "case0001"
+    assert "not measured" in (tmp_path / "answers" / "case0001" / "error.txt").read_text()
+    assert np.isnan(misfits(ticket)["whole"])
 
 
 def test_friction_shows_to_the_referee_and_a_faint_spring_does_not():

@@ -138,8 +138,11 @@ def conceal(
     bench = _bench(of_structure, kind, faults, severities, sensors)
     state = sound(of_damping, bench, excitation != "hammer", viscous=bool(set(faults) & set(LAWS)))
     state = replace(state, swept=excitation == "sweep")
-    for what, how_much in zip(faults, severities, strict=True):
-        state = MAKERS[what](fault_stream(seed, kind, what), state, float(how_much))
+    lawful_last = sorted(range(len(faults)), key=lambda i: faults[i] in LAWS)
+    for i in lawful_last:  # a law is made to the structure that it acts on
+        state = MAKERS[faults[i]](fault_stream(seed, kind, faults[i]), state, float(severities[i]))
+    made = dict(zip(lawful_last, state.faults, strict=True))
+    state = replace(state, faults=tuple(made[i] for i in range(len(faults))))
     plan, units = draw_plan(of_runs, state, excitation), _units(of_units, state)
     describable = list(bench.zones) == ["E"] or kind == "frame"
     native = describable and bool(of_units.random() < 0.5)

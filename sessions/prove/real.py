@@ -143,16 +143,18 @@ def _filter_rows(found: NonlinearAnswer, out: Path) -> list[Row]:
 def _margin(found: NonlinearAnswer, model: Model, held: Recording) -> list[Row]:
     """What each single law leaves of a multisine that none was fitted to, and the runner-up's error over the best's."""
     from labnnum.diagnosis.nonlinear.identified import own_scatter
+    from labnnum.diagnosis.nonlinear.laws import NAMES
     from labnnum.diagnosis.nonlinear.margin import single_laws
     from labnnum.diagnosis.nonlinear.predict import padded, response
 
     error = model.structure.error if isinstance(model.structure, ModalStructure) else 0.0
     run, measured = padded(held, 205.0, 0.0), held.data[held.outputs[0]]
-    left = []
+    least: dict[str, float] = {}
     for one in single_laws(found, own_scatter(error)):
         made = response(one, run)[0, : measured.size]
-        left.append((1e3 * _rms(measured - made), one.laws[0].mechanism))
-    left.sort()
+        name = NAMES.get(one.laws[0].mechanism, one.laws[0].mechanism)
+        least[name] = min(1e3 * _rms(measured - made), least.get(name, np.inf))
+    left = sorted((value, name) for name, value in least.items())
     each = ", ".join(f"{name} {value:.3f}" for value, name in left)
     rows = [Row("Silverbox", "first selection, one law alone, multisine 10, mV RMS", each, "")]
     if len(left) > 1:

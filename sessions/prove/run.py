@@ -98,14 +98,19 @@ def load(tool: str) -> Callable[..., Any]:
 def answer(ticket: Ticket, out: Path, keep: bool, tool: str) -> str:
     """Measure one case, have it diagnosed, keep the answer and its time; the name of the case.
 
-    A tool that fails leaves error.txt instead of an answer: the case counts as one without answer, and is listed.
+    A tool that fails leaves error.txt instead of an answer: the case counts as one without answer, and is listed. So
+    does a concealed structure that runs away, which nobody can measure.
     """
     folder = case_folder(out, ticket.name)
-    recordings = write_case(measure(ticket.conceal()), folder)
     target = score.answer_path(out, ticket.name).parent
     target.mkdir(parents=True, exist_ok=True)
     failed = target / "error.txt"
     failed.unlink(missing_ok=True)
+    try:
+        recordings = write_case(measure(ticket.conceal()), folder)
+    except FloatingPointError as error:
+        failed.write_text(f"not measured: {error}\n", encoding="utf-8")
+        return ticket.name
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         load(tool)(recordings, folder / "model.toml", target)

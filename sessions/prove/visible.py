@@ -79,11 +79,14 @@ def _medians(tickets: Sequence[Ticket], known: dict[str, Any], path: Path, jobs:
 def misfits(ticket: Ticket, marched: bool | None = None, twins: int = 0) -> dict[str, Any]:
     """The referee's chi2 of a case, of each of its faults alone, and the median of `twins` sound ones of its make.
 
-    `marched` asks for the way of nonlinear cases.
+    `marched` asks for the way of nonlinear cases. NaN where the concealed structure runs away and cannot be measured.
     """
     marched = ticket.lawful if marched is None else marched
     case = ticket.conceal()
-    whole = misfit(case, marched)
+    try:
+        whole = misfit(case, marched)
+    except FloatingPointError:
+        return {"whole": np.nan, "alone": [np.nan] * len(ticket.faults), "sound": 0.0}
     sound = [misfit(sound_twin(case, i), marched) for i in range(twins)]
     alone = [whole] * len(ticket.faults)
     if len(ticket.faults) > 1:

@@ -71,7 +71,10 @@ def _marched(state: State, whole: Plant, signal: NDArray, rate: float) -> tuple[
     fine = FRICTION if march.averaged(laws).any() else FINENESS
     over = int(np.ceil(fine * band(state)[1] / rate))
     coupled = coupling(whole, _rows(state), band(state)[1])
-    return *march.march(coupled, laws, finer(signal, over), 1 / (rate * over)), over
+    z, v, f = march.march(coupled, laws, finer(signal, over), 1 / (rate * over))
+    if not np.isfinite(z).all():
+        raise FloatingPointError("the concealed structure runs away from its laws, which soften more than it is stiff")
+    return z, v, f, over
 
 
 def _rows(state: State) -> NDArray[np.float64]:
