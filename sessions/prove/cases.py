@@ -157,10 +157,11 @@ def sound_twin(case: Case, number: int) -> Case:
     return replace(case, state=replace(state, swept=case.state.swept), runs=())
 
 
-def measure(case: Case) -> Case:
-    """The case with its session measured."""
+def measure(case: Case, level: float = 1.0, snr: float | None = None) -> Case:
+    """The case with its session measured; its drive `level` times as strong, `snr` dB over noise if given."""
     of_runs = streams(case.seed, case.state.bench.kind)[2]
     plan = draw_plan(of_runs, case.state, case.plan.excitation)
+    plan = replace(plan, levels=tuple(level * x for x in plan.levels), snr=plan.snr if snr is None else snr)
     return replace(case, plan=plan, runs=record(of_runs, case.state, plan))
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from labnnum.errors import ConfigError, LabnnumError
 from sessions.prove import score, seal
-from sessions.prove.cases import measure, write_case
+from sessions.prove.cases import write_case
 from sessions.prove.jobs import each
 from sessions.prove.suite import Ticket, draw
 
@@ -66,7 +66,7 @@ def write_all(order: Order, tickets: Sequence[Ticket], step: Step = quiet) -> No
 
 
 def _write(ticket: Ticket, out: Path) -> None:
-    write_case(measure(ticket.conceal()), case_folder(out, ticket.name))
+    write_case(ticket.measured(), case_folder(out, ticket.name))
 
 
 def case_folder(out: Path, case: str) -> Path:
@@ -107,7 +107,7 @@ def answer(ticket: Ticket, out: Path, keep: bool, tool: str) -> str:
     failed = target / "error.txt"
     failed.unlink(missing_ok=True)
     try:
-        recordings = write_case(measure(ticket.conceal()), folder)
+        recordings = write_case(ticket.measured(), folder)
     except FloatingPointError as error:
         failed.write_text(f"not measured: {error}\n", encoding="utf-8")
         return ticket.name

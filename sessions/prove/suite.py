@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator, default_rng
 
 from labnnum.errors import ConfigError
-from sessions.prove.cases import BESIDE_LAWS, KINDS, LAWS, Case, conceal, fits
+from sessions.prove.cases import BESIDE_LAWS, KINDS, LAWS, Case, conceal, fits, measure
 from sessions.prove.truth.channels import CHANNEL
 from sessions.prove.truth.nonlinear import NONLINEAR, OUTSIDE_LAWS
 from sessions.prove.truth.outside import OUTSIDE
@@ -60,6 +60,10 @@ class Ticket:
     def conceal(self) -> Case:
         """The truth of this case, without samples."""
         return conceal(self.seed, self.kind, self.faults, self.severities, self.excitation, name=self.name)
+
+    def measured(self) -> Case:
+        """The case with its session measured."""
+        return measure(self.conceal())
 
     def alone(self, i: int) -> Ticket:
         """The same structure with fault number `i` only, at the place that it has when it is drawn first."""
