@@ -29,6 +29,8 @@ from drivers.simulated import (
     with_chain,
 )
 from labnnum.errors import ConfigError
+from labnnum.mechanisms import ExtendedStructure
+from labnnum.nonlinear import Element
 from labnnum.recording import Channel
 from labnnum.structures.base import Structure
 from sessions.items import Item, control, trigger_row
@@ -104,11 +106,19 @@ def _simulated(rig: Rig, item: Item, attempt: int) -> Devices:
         oversample=s.oversample,
         seed=seed,
         faults=Faults(faults.drift_ppm, faults.dropouts, faults.dropout_frames, faults.silent, faults.vanish or np.inf),
-        elements=[element(structure, theta, e.law, e.at, e.to, **e.parameters) for e in s.element],
+        elements=[
+            *(element(structure, theta, e.law, e.at, e.to, **e.parameters) for e in s.element),
+            *laws_in(structure),
+        ],
         real_time=device.real_time,
         buffer=device.buffer,
     )
     return Devices(bench, exciter)
+
+
+def laws_in(structure: Structure) -> tuple[Element, ...]:
+    """The nonlinear laws that a model file itself holds, as time simulation takes them; none of most models."""
+    return structure.law_elements() if isinstance(structure, ExtendedStructure) else ()
 
 
 def true_parameters(structure: Structure, values: dict[str, float], path: Path) -> NDArray[np.float64]:

@@ -52,7 +52,10 @@ def simulate(
     ] = None,
     nonlinear: Annotated[
         list[str] | None,
-        typer.Option(help='A nonlinear force: "cubic 2:x k3=1e9", "clearance 3:z 2:z k=1e5 gap=1e-4". Repeat.'),
+        typer.Option(
+            help='A nonlinear force: "cubic 2:x k3=1e9", "clearance 3:z 2:z k=1e5 gap=1e-4". It feels the first place'
+            " less the second (or ground): a one-sided gap closes where that grows. Repeat."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same session.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
@@ -70,8 +73,7 @@ def simulate(
     from rich.progress import Progress
 
     from drivers.simulated import Drive, Input
-    from labnnum.mechanisms import ExtendedStructure
-    from sessions.devices import true_parameters
+    from sessions.devices import laws_in, true_parameters
     from sessions.model import read_model
     from sessions.simulate import Bench, default_inputs, settling, simulate_run
     from sessions.store import create_session, require_new
@@ -84,8 +86,7 @@ def simulate(
     channel = _drive(structure, drive)
     inputs = [Input(c, full_scale=float("inf"), bits=0) for c in default_inputs(structure, channel, response or [])]
     bench = Bench(rate, noise, bits, seed=seed, tip=tip, interval=interval or 1.2 * settling(structure, theta))
-    elements = [_element(structure, theta, text) for text in nonlinear or []]
-    elements += structure.law_elements() if isinstance(structure, ExtendedStructure) else ()
+    elements = [*(_element(structure, theta, text) for text in nonlinear or []), *laws_in(structure)]
     levels = level or [100.0 if excitation == "hammer" else 1.0]
     runs = [(one, r) for one in levels for r in range(realisations)]
     table = _excitation(excitation, duration, periods, period, detection, low, high, seed)
