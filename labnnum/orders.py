@@ -129,8 +129,8 @@ def orders(recording: Recording, highest: int = 5) -> Orders:
 
     Notes
     -----
-    Order tracking: over blocks of `CYCLES` cycles or more, under a Hann window, every channel is fitted by least squares
-    with
+    Order tracking: over blocks of `CYCLES` cycles or more, under a Hann window, every channel is fitted by least
+    squares with
 
     .. math:: x(t) = \sum_{m=0}^{M} p_m(t) \cos m\varphi(t) + q_m(t) \sin m\varphi(t)
 
