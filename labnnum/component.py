@@ -1,109 +1,63 @@
-r"""Component tests: which law ties a force to an imposed motion, without any structure around it.
+"""Component tests: which law ties a force to an imposed motion, without any structure around it.
 
-Every law is simulated along the measured motion and fitted to the measured force by least squares; they compete on
-data that no fit saw. Dry friction behind play is a spring in series with a slider, the spring reaching nothing
-within +- b/2 of the slider:
-
-.. math:: f = k \, \mathrm{dz}(z - m, b/2), \quad |f| \le F, \quad \dot m = 0 \text{ while } |f| < F
-
-References
-----------
-W. D. Iwan, "A distributed-element model for hysteresis and its steady-state dynamic response", J. Applied Mechanics
-33, 1966.
+Every law of `labnnum.component_laws` is simulated along the measured motion and fitted to the measured force by least
+squares; they compete on data that no fit saw.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from labnnum.component_intervals import intervals
+from labnnum.component_laws import LAWS, LINEAR, ComponentTest, Vector, force
 from labnnum.errors import EstimationError
 
-LAWS: dict[str, tuple[tuple[str, str], ...]] = {
-    "viscous": (("c", "N*s/m"),),
-    "quadratic-damping": (("c2", "N*s^2/m^2"),),
-    "cubic-stiffness": (("k3", "N/m^3"),),
-    "coulomb-friction": (("F", "N"),),
-    "clearance": (("k", "N/m"), ("g", "m")),
-    "stick-slip": (("k_t", "N/m"), ("F_s", "N")),
-    "stick-slip with clearance": (("k_t", "N/m"), ("F_s", "N"), ("backlash", "m")),
-}
-"""Laws that compete, with their parameters and units."""
-
-
-@dataclass(frozen=True, eq=False)
-class Test:
-    """Motion z (m), its rate v (m/s) and the force that opposes it f (N), each (n,); steady from `start` on."""
-
-    z: NDArray[np.float64]
-    v: NDArray[np.float64]
-    f: NDArray[np.float64]
-    start: int = 0
-    label: str = ""
+FURTHER = 0.97
+"""A law with more parameters must lower the error held out to this part, as a further law of a diagnosis must."""
+EXPLAINED = 0.5
+"""A law that leaves more than this part of the force is no answer."""
+EXACT = 1e-3
+"""Relative error below which laws fit alike: no force is measured better."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A law with its parameters and standard deviations; relative RMS errors on the data fitted to and held out.
+    """A law fitted to component tests.
 
-    The standard deviations come from fits to each test on its own, where there are several.
+    Parameters
+    ----------
+    law : str
+        A key of `LAWS`.
+    value, std, half : ndarray, shape (n_parameters,)
+        Parameters, their standard deviations, and half the width of their 90 % intervals
+        (`labnnum.component_intervals`).
+    derived : tuple of (name, unit, value, std, half)
+        What `DERIVED` makes of them.
+    error, held_out : float
+        Relative RMS error of the force on the tests fitted to, and on those held out (on those fitted to if none is).
     """
 
     law: str
-    value: NDArray[np.float64]
-    std: NDArray[np.float64]
+    value: Vector
+    std: Vector
+    half: Vector
+    derived: tuple[tuple[str, str, float, float, float], ...]
     error: float
     held_out: float
 
 
-@njit(cache=True)
-def _slide(z, k, limit, play):  # pragma: no cover - compiled
-    out = np.empty(z.size)
-    m = z[0]
-    for i in range(z.size):
-        d = z[i] - m
-        if d > play:
-            f = k * (d - play)
-            if f > limit:
-                f = limit
-                m = z[i] - play - limit / k
-        elif d < -play:
-            f = k * (d + play)
-            if f < -limit:
-                f = -limit
-                m = z[i] + play + limit / k
-        else:
-            f = 0.0
-        out[i] = f
-    return out
+def identify_component(
+    tests: Sequence[ComponentTest],
+    held_out: Sequence[ComponentTest] = (),
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Fitted]:
+    """Every law fitted to `tests`, the one that is named first, then the others by their error on `held_out`.
 
-
-def force(law: str, p: Sequence[float] | NDArray, test: Test) -> NDArray[np.float64]:
-    """Force of a law along the motion of a test, shape (n,)."""
-    z, v = np.ascontiguousarray(test.z), test.v
-    if law == "viscous":
-        return p[0] * v
-    if law == "quadratic-damping":
-        return p[0] * v * np.abs(v)
-    if law == "cubic-stiffness":
-        return p[0] * z**3
-    if law == "coulomb-friction":
-        return p[0] * np.sign(v)
-    if law == "clearance":
-        return p[0] * np.sign(z) * np.maximum(np.abs(z) - p[1], 0)
-    if law == "stick-slip":
-        return _slide(z, max(p[0], 1e-9), p[1], 0.0)
-    if law == "stick-slip with clearance":
-        return _slide(z, max(p[0], 1e-9), p[1], 0.5 * p[2])
-    raise EstimationError(f"component law {law!r} is not one of {', '.join(LAWS)}")
-
-
-def identify_component(tests: Sequence[Test], held_out: Sequence[Test] = ()) -> list[Fitted]:
-    """Every law fitted to `tests`, the best on `held_out` first.
+    Named is the law with the fewest parameters among those that come within 3 % of the least error (`FURTHER`): a law
+    that holds another one, with play that turns out as nothing say, fits as well and is not the simpler answer.
 
     Raises
     ------
@@ -114,48 +68,73 @@ def identify_component(tests: Sequence[Test], held_out: Sequence[Test] = ()) -> 
         raise EstimationError("no component test was given")
     out = []
     for law in LAWS:
-        value = _fit(law, tests)
-        each = np.array([_fit(law, [t], value) for t in (*tests, *held_out)])
-        n = len(each)
-        std = each.std(axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.full(value.size, np.nan)
-        error = _error(law, value, tests)
-        out.append(Fitted(law, value, std, error, _error(law, value, held_out) if held_out else error))
-    return sorted(out, key=lambda f: f.held_out)
+        progress(law)
+        value = fit(law, tests)
+        each = np.array([fit(law, [t], value) for t in tests])
+        std, half, derived = intervals(law, value, tests, each)
+        error = relative_error(law, value, tests)
+        judged = relative_error(law, value, held_out) if held_out else error
+        out.append(Fitted(law, value, std, half, derived, error, judged))
+    out.sort(key=lambda f: f.held_out)
+    enough = max(out[0].held_out / FURTHER, EXACT)
+    named = min((f for f in out if f.held_out <= enough), key=lambda f: (f.value.size, f.held_out))
+    return [named, *(f for f in out if f is not named)]
 
 
-def _error(law: str, p: NDArray, tests: Sequence[Test]) -> float:
-    parts = [np.sum((t.f - force(law, p, t))[t.start :] ** 2) / np.sum(t.f[t.start :] ** 2) for t in tests]
+def relative_error(law: str, p: Sequence[float] | Vector, tests: Sequence[ComponentTest]) -> float:
+    """RMS error of the force over its own RMS, of several tests their root mean square."""
+    parts = []
+    for t in tests:
+        f = t.f[t.counted]
+        parts.append(np.sum((f - force(law, p, t)[t.counted]) ** 2) / np.sum(f**2))
     return float(np.sqrt(np.mean(parts)))
 
 
-def _fit(law: str, tests: Sequence[Test], near: NDArray | None = None) -> NDArray[np.float64]:
-    """Least squares over the tests, from a grid where no start is given."""
+def fit(law: str, tests: Sequence[ComponentTest], near: Vector | None = None) -> Vector:
+    """Parameters (n_parameters,) of the least mean square error over the tests, relative to each one's force.
+
+    Parameters
+    ----------
+    near : ndarray, shape (n_parameters,), optional
+        Where to begin; a grid if None.
+    """
+    if law in LINEAR:
+        return _formula(law, tests)
     from scipy.optimize import minimize
 
     n = len(LAWS[law])
     top = max(float(np.max(np.abs(t.z))) for t in tests)
     size = float(np.sqrt(np.mean([np.mean(t.f**2) for t in tests])))
-    if n == 1:
-        unit = [force(law, [1.0], t)[t.start :] for t in tests]
-        weight = [1.0 / np.sum(t.f[t.start :] ** 2) for t in tests]
-        along = sum(w * (u @ t.f[t.start :]) for w, u, t in zip(weight, unit, tests, strict=True))
-        return np.array([along / sum(w * (u @ u) for w, u in zip(weight, unit, strict=True))])
     scale = {"clearance": [size / top, top], "stick-slip": [size / top, size]}.get(law, [size / top, size, top])
 
-    def left(x: NDArray) -> float:
-        return _error(law, np.exp(np.clip(x, -12, 12)) * scale, tests)
+    def left(x: Vector) -> float:
+        return relative_error(law, np.exp(np.clip(x, -12, 12)) * scale, tests)
 
-    starts = [np.log(near / scale)] if near is not None else _grid(law)
-    found = []
-    for x in starts:
-        simplex = np.vstack([x, x + 0.4 * np.eye(n)])
-        options = {"xatol": 1e-3, "fatol": 1e-5, "initial_simplex": simplex, "maxfev": 400}
-        found.append(minimize(left, x, method="Nelder-Mead", options=options))
-    best = min(found, key=lambda f: f.fun)
-    return np.exp(np.clip(best.x, -12, 12)) * scale
+    def searched(x: Vector, wide: float, fine: float) -> tuple[float, Vector]:
+        simplex = np.vstack([x, x + wide * np.eye(n)])
+        options = {"xatol": fine, "fatol": 1e-2 * fine, "initial_simplex": simplex, "maxfev": 400}
+        found = minimize(left, x, method="Nelder-Mead", options=options)
+        return float(found.fun), found.x
+
+    starts = [np.clip(np.log(near / scale), -12, 12)] if near is not None else _grid(law)
+    _, best = min((searched(x, 0.4, 1e-3) for x in starts), key=lambda f: f[0])
+    _, best = searched(best, 0.02, 1e-6)
+    return np.exp(np.clip(best, -12, 12)) * scale
 
 
-def _grid(law: str) -> list[NDArray[np.float64]]:
+def _formula(law: str, tests: Sequence[ComponentTest]) -> Vector:
+    n = len(LAWS[law])
+    rows, right = [], []
+    for t in tests:
+        size = np.sqrt(np.sum(t.f[t.counted] ** 2))
+        rows.append(np.stack([force(law, unit, t)[t.counted] for unit in np.eye(n)], axis=1) / size)
+        right.append(t.f[t.counted] / size)
+    basis, target = np.concatenate(rows), np.concatenate(right)
+    scale = np.sqrt(np.sum(basis**2, axis=0))
+    return np.linalg.lstsq(basis / scale, target, rcond=None)[0] / scale
+
+
+def _grid(law: str) -> list[Vector]:
     if law == "clearance":
         return [np.log([k, g]) for k in (1.0, 5.0) for g in (0.1, 0.6)]
     if law == "stick-slip":

@@ -34,6 +34,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("report", "sessions.commands.report:report"),
     ("identify", "sessions.commands.identify:identify"),
     ("diagnose", "sessions.commands.diagnose:diagnose"),
+    ("component", "sessions.commands.component:component"),
     ("calibrate-diagnosis", "sessions.commands.calibrate_diagnosis:calibrate_diagnosis"),
     ("prove", "sessions.commands.prove:prove"),
     ("reproduce", "sessions.commands.reproduce:reproduce"),

@@ -17,7 +17,8 @@ def prove(
     suite: Annotated[
         str,
         typer.Argument(
-            help="What is concealed: linear or nonlinear physics, or what the dissertation's models left out."
+            help="linear or nonlinear: which physics is concealed in drawn structures. dissertation: what its models"
+            " left out. real: recordings by others."
         ),
     ],
     cases: Annotated[int, typer.Option(help="How many cases to draw.")] = 40,
@@ -34,17 +35,24 @@ def prove(
         bool, typer.Option("--score-only", help="Score the answers that are there so far, whoever gave them.")
     ] = False,
     only: Annotated[
-        list[str] | None, typer.Option(help="Draw the whole suite, but diagnose this case only; may be given again.")
+        list[str] | None,
+        typer.Option(
+            help="Diagnose this case of the suite only, or run this recording (silverbox, f16 or friction_damper) of"
+            " `real` only; may be given again."
+        ),
     ] = None,
     tool: Annotated[
         str, typer.Option(help="module:function that diagnoses: (recordings, model, out) writes out/diagnosis.json.")
     ] = "sessions.diagnose:diagnose_files",
     recordings: Annotated[
-        Path | None, typer.Option(help="For the suite `real`: the folder of the real recordings.")
+        Path | None, typer.Option(help="For the suite `real`: the folder of the recordings, with a folder for each.")
     ] = None,
     examples: Annotated[
-        Path, typer.Option(help="For the suite `real`: the folder of their channels.toml files.")
-    ] = Path("examples/recordings"),
+        Path | None,
+        typer.Option(
+            help="For the suite `real`: the folder of their channels.toml files; examples/recordings if not given."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the score as JSON on standard output.")] = False,
 ) -> None:
     """Prove the diagnosis on cases whose truth is concealed.
@@ -57,7 +65,11 @@ def prove(
         labnnum prove linear --cases 400 --seed 4711 -o proof
 
     The suite "dissertation" holds a fixed handful: the cantilevered beam and a frame of Atalla (1996), sections 5.6 and
-    5.7, each with one effect concealed. The suite "real" runs recordings by others, found in --recordings.
+    5.7, each with one effect concealed. The suite "real" runs recordings by others, found in --recordings, prints what
+    was run here beside what is published, and writes both to OUT/real.md and real.json, with figures in a folder for
+    each recording.
+
+        labnnum prove real --recordings DIR -o real
     """
     from rich.console import Console
 
@@ -68,6 +80,7 @@ def prove(
     if suite == "dissertation":
         _dissertation(console, out, jobs, tool, only or [], as_json)
         return
+    _require_suite(suite)
     from sessions.prove.run import Order, start
 
     order = Order(suite, cases, seed, out, jobs, keep, tool)
@@ -87,28 +100,37 @@ def prove(
         _show(Console(), found, out)
 
 
-def _real(recordings: Path | None, examples: Path, out: Path, only: list[str] | None, as_json: bool) -> None:
-    """The real recordings: one table, or its rows as JSON."""
+def _require_suite(suite: str) -> None:
+    """ConfigError if there is no suite of that name."""
+    from labnnum.errors import ConfigError
+    from sessions.prove.suite import SHARES
+
+    if suite not in SHARES:
+        raise ConfigError(f"suite {suite!r} is not one of {', '.join(SHARES)}, dissertation, real")
+
+
+def _real(recordings: Path | None, examples: Path | None, out: Path, only: list[str] | None, as_json: bool) -> None:
+    """The real recordings: one table, or what real.json holds."""
     from rich.console import Console
-    from rich.table import Table
 
     from labnnum.errors import ConfigError
-    from sessions.commands.printing import stages
-    from sessions.prove.real import SETS, as_dicts, run_real
+    from sessions.commands.printing import note, stages
+    from sessions.prove.real import COLUMNS, SETS, examples_folder, run_real
 
     if recordings is None:
         raise ConfigError("prove real: --recordings is missing; give the folder that holds the real recordings")
     with stages("reading") as tell:
-        rows = run_real(recordings, examples, out, only or SETS, tell)
+        found = run_real(recordings, examples_folder(examples), out, only or SETS, tell)
     if as_json:
-        _print_json({"rows": as_dicts(rows)})
+        _print_json(found.as_dict())
         return
-    table = Table(title="real recordings by others")
-    for name in ("recording", "measure", "found", "published, or asked for"):
-        table.add_column(name)
-    for r in rows:
-        table.add_row(r.recording, r.measure, r.found, r.published)
-    Console().print(table)
+    for name in dict.fromkeys(r.recording for r in found.rows):
+        rows = [(r.measure, r.found, r.published, r.asked) for r in found.rows if r.recording == name]
+        _table(Console(), name, COLUMNS[1:], rows)
+    for text in found.notes:
+        note(text)
+    folders = ", ".join(str(out / name) for name in found.run)
+    note(f"the table is in {out / 'real.md'} and real.json, figures in {folders}")
 
 
 def _those(tickets: Any, only: list[str] | None) -> Any:

@@ -9,12 +9,25 @@ from labnnum.diagnosis import Diagnosis
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the comparison: what was measured, what is published or asked for."""
+    """One line of the comparison.
+
+    Parameters
+    ----------
+    recording, measure : str
+        What was measured on which recording.
+    found : str
+        Run here.
+    published : str
+        What others report; it is not run here.
+    asked : str
+        What this program was built to reach.
+    """
 
     recording: str
     measure: str
     found: str
-    published: str
+    published: str = ""
+    asked: str = ""
 
 
 def said(d: Diagnosis) -> str:
