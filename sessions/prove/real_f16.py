@@ -141,7 +141,7 @@ def _torsion(p: Predicted) -> tuple[Peak, Peak] | None:
         seen, made = (peak(p.frequency, y[-1] / p.input, *TORSION) for y in (p.measured, p.made))
     except EstimationError:
         return None
-    return seen, made
+    return (seen, made) if all(TORSION[0] <= f <= TORSION[1] for f, _ in (seen, made)) else None
 
 
 def _told(found: tuple[Peak, Peak] | None) -> str:
