@@ -18,6 +18,7 @@ from sessions.calibration import without_inputs
 from sessions.pooling import Inputs, Uncoloured, Used, alike, averaged, inputs_of, used_of
 from sessions.runs import Run
 from sessions.screen import require_unclipped
+from sessions.splitting import store_told, tell_apart
 from sessions.store import Session
 
 Method = Literal["auto", "H1", "H2", "Hv", "periodic", "local"]
@@ -193,13 +194,20 @@ def _estimated(
         )
     if done.estimator == "local":
         return local_frf(list(recordings))
+    processor = processor_of(recordings, done)
+    return ESTIMATORS[done.estimator](Uncoloured(processor, tuple(inputs)) if inputs else processor)(list(recordings))
+
+
+def processor_of(recordings: Sequence[Recording], settings: FrfSettings) -> Hits | Welch:
+    """What cuts the recordings into segments under these settings; into the usual ones where the estimator has none."""
+    done = chosen(recordings, settings)
+    if done.estimator not in ESTIMATORS:
+        done = chosen(recordings, replace(settings, estimator="H1", hits=settings.hits or False))
     if done.hits:
         gate = (done.gate if done.lead is None else done.lead, done.gate) if done.gate else None
-        processor = Hits(done.segment, done.decay, gate)
-    else:
-        assert done.segment is not None and done.window is not None and done.overlap is not None  # noqa: PT018
-        processor = Welch(done.segment, done.window, done.overlap)
-    return ESTIMATORS[done.estimator](Uncoloured(processor, tuple(inputs)) if inputs else processor)(list(recordings))
+        return Hits(done.segment, done.decay, gate)
+    assert done.segment is not None and done.window is not None and done.overlap is not None  # noqa: PT018
+    return Welch(done.segment, done.window, done.overlap)
 
 
 def usable(recordings: Sequence[Recording], settings: FrfSettings) -> list[Recording]:
@@ -241,7 +249,8 @@ def reprocess(
     runs: Sequence[int] = (),
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[tuple[str, Frf]]:
-    """Estimate an FRF from each group of runs and store it; (path in the session, FRF) of each.
+    """Estimate an FRF from each group of runs and store it, beside it what lowers its coherence; (path in the session,
+    FRF) of each.
 
     Parameters
     ----------
@@ -280,7 +289,10 @@ def reprocess(
         said = {k: v for k, v in asdict(chosen(batch, settings)).items() if v is not None}
         told = {"runs": used, "requested": said, **_level(batch), **rests.settings}
         told |= {"left_out": {str(n): why for n, why in left_out.items()}} if left_out else {}
-        out.append((session.add_frf(frf, told, name=_title(used, batch)), frf))
+        path, name = session.add_frf(frf, told, name=_title(used, batch)), _title(used, batch)
+        out.append((path, frf))
+        cleaned = batch if settings.keep_clipped else usable(batch, settings)
+        store_told(session, tell_apart(cleaned, processor_of(cleaned, settings), played_lines(mine), path), name)
         progress(i + 1, len(batches))
     return out
 

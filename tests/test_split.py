@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.estimators import H1, Hits, Welch
-from labnnum.excitation import multisine, random
+from labnnum.excitation import chirp, multisine, random
 from labnnum.recording import Channel, Recording
 from labnnum.split import split_hits, split_periods, split_record
 from labnnum.split.base import ALL, BOTH, DISTORTION, ENDS, EVEN, LEAKAGE, NOISE, ODD, RINGING, SCATTER, TRANSIENT
@@ -314,3 +314,20 @@ def test_a_table_has_a_row_for_each_response_and_band():
     for r in rows:
         assert sum(p["share"] for p in r["parts"].values()) == pytest.approx(r["lost"], abs=1e-9)
     assert [r["low"] for r in split.table([(50.0, 70.0), (300.0, 400.0)])] == [50.0]
+
+
+def test_the_harmonics_of_a_sweep_count_as_distortion_at_most_so_many_times():
+    f = chirp(RATE, 2**15, (5.0, 100.0), law="log", fade=0.01).samples
+    linear = (f @ f**3) / (f @ f)
+    bent = lfilter([1.0], [1, -0.9], 0.05 * (f**3 - linear * f))
+    y = lfilter([1.0], [1, -0.9], f * (1 + 0.05 * linear)) + bent
+    welch = Welch(2048)
+    split = split_record(Recording(CHANNELS, np.stack([f, y]), RATE), welch)
+    adds_up(split)
+    own = welch(Recording(CHANNELS, np.stack([f, bent]), RATE)).auto("x")
+    power = welch(Recording(CHANNELS, np.stack([f, y]), RATE)).auto("x")
+    at = np.round(split.frequency * 2048 / RATE).astype(int)
+    inside = (split.frequency > 20) & (split.frequency < 90)
+    ratio = split.parts[BOTH][0, inside].mean() / (own / power)[at][inside].mean()
+    assert 0.9 < ratio < 17 / 9
+    assert any("1.9 times" in text for text in split.remarks)

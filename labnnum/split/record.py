@@ -10,6 +10,7 @@ from scipy.signal import correlate, correlation_lags
 
 from labnnum.errors import ChannelError, EstimationError
 from labnnum.local import BETTER, HALF, ORDER
+from labnnum.orders import is_sweep
 from labnnum.recording import Recording
 from labnnum.rest import lead_of, led
 from labnnum.spectra import Welch, pool
@@ -99,7 +100,8 @@ def split_record(recordings: Recording | Sequence[Recording], welch: Welch) -> S
     both = (1 - 1 / averages) * share_of(density * scale, mean)
     parts, remarks = {BOTH: both}, []
     spacing = float(np.median(weight)) / welch.n_segment  # lines of the record between two of a segment
-    free = (2 * HALF + 1 - 3 * ORDER - 2) * len(middles(int(spacing))) * len(batch)  # of windows with a denominator
+    free_of_one = 2 * HALF + 1 - 3 * ORDER - 2  # degrees of freedom of a window with a denominator
+    free = free_of_one * len(middles(int(spacing))) * len(batch)
     chance = {BOTH: both / np.sqrt(free)}
     many = max(1.0, (2 * HALF + 1) / spacing)
     noise, freedom = _noise_of_repeats(batch, welch, h, lines, i, outs)
@@ -113,6 +115,11 @@ def split_record(recordings: Recording | Sequence[Recording], welch: Welch) -> S
         parts = {NOISE: own, DISTORTION: both - own}
         chance[NOISE] = own / np.sqrt(freedom)
         chance[DISTORTION] = np.sqrt(own**2 / free + chance[NOISE] ** 2)
+    if any(is_sweep(r.data[i, a:b]) for r in batch for a, b in r.spans() if b - a > 64):
+        remarks.append(
+            f"Harmonics of a sweep are no noise: they may count up to {(2 * HALF + 1) / free_of_one:.1f} times as"
+            " nonlinear distortion, and what counts too much is missing from leakage. Order by order they are exact."
+        )
     parts[LEAKAGE] = lost - both
     chance[LEAKAGE] = np.abs(both) * np.sqrt(1 / free + 1 / max(averages - 1, 1))
     beside = {ENDS: share_of(ends, whole)}
@@ -206,7 +213,9 @@ def _parted(u: NDArray, y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]
     left = np.where(use, spread_whole, spread_plain) / weight
     unsure = np.where(use, unsure_whole, unsure_plain)
     middle = np.abs(np.where(use, x_whole[:, 0], x_plain[:, 0])) ** 2
-    return left, middle - unsure, np.mean(np.abs(y) ** 2, axis=1), unsure
+    whole_power = np.mean(np.abs(y) ** 2, axis=1)
+    untold = unsure > whole_power  # at the ends of a band, where input and ends look alike
+    return left, np.where(untold, 0.0, middle - unsure), whole_power, np.where(untold, whole_power, unsure)
 
 
 def _least(columns: NDArray, y: NDArray) -> tuple[NDArray, NDArray, NDArray]:

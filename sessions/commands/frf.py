@@ -50,7 +50,10 @@ def frf(
     bursts are taken one by one, and noise is cut into segments under a Hann window.
 
     A low coherence is named with its likely cause: noise, leakage (a longer segment helps), nonlinearity, an
-    overload. One average has coherence 1 whatever the data, and is not called good.
+    overload. One average has coherence 1 whatever the data, and is not called good. What coherence lacks is told apart
+    as far as the recordings allow: periods and realisations tell noise, nonlinear distortion and transients; noise and
+    sweeps tell what leaks, and noise from distortion where one signal was played twice; hits tell noise from what
+    differs between them. Of a sweep the harmonics are told, order by order.
 
     For example:
 
@@ -66,6 +69,7 @@ def frf(
     from labnnum.errors import ConfigError
     from sessions.commands.printing import bar, finite
     from sessions.reprocess import FrfSettings, Method, reprocess
+    from sessions.splitting import KIND, in_words, told_of
     from sessions.store import open_session
 
     bands = [_band(text) for text in band or []]
@@ -84,12 +88,21 @@ def frf(
     with open_session(session, "a") as store, bar("estimating") as progress:
         _require_within(bands, store)
         done = reprocess(store, settings, run or [], progress)
+        results = store.results(KIND)
+    apart = {path: told_of(results, path) for path, _ in done}
+    ranges = [(b.low, b.high) for b in bands]
     said = [_described(path, one, coherence, bands) for path, one in done]
+    for (path, _), one in zip(done, said, strict=True):
+        told = apart[path]
+        one["split"] = told.as_dict(ranges) if told is not None else None
     if as_json:
         typer.echo(json.dumps(finite({"session": str(session), "frfs": said})))
     else:
-        for one in said:
+        for (path, _), one in zip(done, said, strict=True):
             typer.echo(_text(one))
+            told = apart[path]
+            for line in in_words(told, ranges) if told is not None else ():
+                typer.echo(f"  {line}")
     if strict:
         for _, one in done:
             one.require_coherence(coherence, bands)

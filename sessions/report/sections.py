@@ -160,6 +160,13 @@ def _place(dof: str) -> str:
     return dof or "no place given"
 
 
+def coherence_section(content: Content) -> Section | None:
+    """What lowers the coherence of the FRF, told apart; None where nothing is stored about it."""
+    from sessions.report.apart import apart_section  # which draws with what stands here
+
+    return apart_section(content)
+
+
 def trust_section(content: Content) -> Section | None:
     """Reasons to trust or to doubt: warnings, misfit, correlation, overloads, gaps."""
     stored, body = content.estimate, Markup("")
@@ -267,6 +274,7 @@ def _json(value: Any) -> str:
 SECTIONS: tuple[SectionMaker, ...] = (
     parameters_section,
     frf_section,
+    coherence_section,
     trust_section,
     measurement_section,
     provenance_section,
