@@ -1,15 +1,18 @@
 r"""Modal identification: a modal model from measured FRFs of one driven place.
 
-Poles come from a common-denominator model in the discrete frequency domain, fitted at growing orders; those that stay
-put from order to order are kept (the stabilisation diagram). Frequencies and damping ratios are then refined together
-with real residues, and with one mode below and one above the band that stand for all others, by least squares on the
-FRFs relative to their noise.
+Poles come from common-denominator models of growing orders; those that stay put from order to order are kept (the
+stabilisation diagram, `labnnum.stabilisation`). Frequencies and damping ratios are then refined together with real
+residues, and with one mode below and one above the band that stand for all others, by least squares on the FRFs
+relative to their noise. Two diagrams are made, with lines weighed by what is there and all alike: the first finds small
+modes between large ones, noise that is the same on all lines misleads only the first. Poles of the second are taken
+where they explain the FRFs much better. Complex residues, standard deviations: `labnnum.identification_residues`.
 
 References
 ----------
 P. Guillaume, P. Verboven, S. Vanlanduit, "Frequency-domain maximum likelihood identification of modal parameters with
 confidence intervals", ISMA 23, 1998 (the LSCF estimator).
 P. Verboven, "Frequency-domain system identification for modal analysis", VUB, 2002, chapter 5.
+R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical Association 90, 1995 (much better).
 """
 
 from __future__ import annotations
@@ -23,10 +26,8 @@ from scipy.stats import f as fisher
 
 from labnnum.errors import EstimationError
 from labnnum.frf import MOTION_ORDER, Frf
+from labnnum.stabilisation import Stabilisation, stabilisation, stable_poles
 from labnnum.structures.modal import ModalStructure, Mode
-
-FREQUENCY_STAYS, DAMPING_STAYS = 0.01, 0.2
-"""Relative change from one order to the next up to which a pole counts as stable."""
 
 HIDES = 0.01
 """Power of the noise in a line, of the response there, from which on the line does not tell what modes miss."""
@@ -34,18 +35,10 @@ CHANCE = 1e-4
 """Chance with which a mode beside the band is taken for needed where there is none."""
 IDENTIFIED = 1e-6
 """What modes that were identified miss at least, by which they are known from those that were computed."""
+BETTER = 10.0
+"""Bayesian information criterion by which the poles of the second diagram must be better, very strong evidence."""
 SMALLEST = 1e-6
 """Residue at the driven place, as a share of the largest, below which a mode is nodal there."""
-
-
-@dataclass(frozen=True, eq=False)
-class Stabilisation:
-    """Poles of every order: `order` (n,), `frequency` (n,) in Hz, `damping_ratio` (n,), `stable` (n,)."""
-
-    order: NDArray[np.int64]
-    frequency: NDArray[np.float64]
-    damping_ratio: NDArray[np.float64]
-    stable: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +86,7 @@ def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
         raise EstimationError(f"no response is measured at the driven place {drive!r}, which scales the mode shapes")
     h = receptance_of(frf)
     weight = _weight(frf, h)
-    diagram = stabilisation(frf.omega, frf.value[:, 0], order)
-    poles = stable_poles(diagram, modes)
-    if not len(poles):
-        raise EstimationError("no pole is stable from order to order: raise the order or narrow the band")
-    poles, damping = _refined(frf.omega, h, weight, poles)
+    poles, damping, diagram = _poles(frf, h, weight, order, modes)
     omega, zeta, residue, nodal = _scaled(frf, h, weight, poles, damping, dofs.index(drive))
     shape = residue / np.sqrt(residue[:, [dofs.index(drive)]])
     built = tuple(
@@ -156,70 +145,25 @@ def _noise(frf: Frf, h: NDArray) -> NDArray[np.float64]:
 # -------------------------------------------------------------------- poles
 
 
-def stabilisation(omega: NDArray, value: NDArray, order: int) -> Stabilisation:
-    """Poles of common-denominator models of even orders up to `order`, and which repeat from order to order."""
-    rows: list[tuple[int, float, float, bool]] = []
-    before: list[tuple[float, float]] = []
-    for n in range(4, order + 1, 2):
-        found = lscf(omega, value, n)
-        here = []
-        for f, z in found:
-            near = [(g, y) for g, y in before if abs(f - g) < FREQUENCY_STAYS * f]
-            stays = any(abs(z - y) < DAMPING_STAYS * max(z, 1e-4) for _, y in near)
-            rows.append((n, f, z, bool(stays)))
-            here.append((f, z))
-        before = here
-    if not rows:
-        empty = np.zeros(0)
-        return Stabilisation(empty.astype(int), empty, empty, empty.astype(bool))
-    n, f, z, s = zip(*rows, strict=True)
-    return Stabilisation(np.array(n), np.array(f), np.array(z), np.array(s, bool))
-
-
-def lscf(omega: NDArray, value: NDArray, order: int) -> list[tuple[float, float]]:
-    """Frequency (Hz) and damping ratio of the decaying poles of one order, by least squares in the z-domain.
-
-    Parameters
-    ----------
-    omega : ndarray, shape (n_f,)
-    value : ndarray, shape (n_out, n_f)
-    """
-    span = omega[-1] - omega[0]
-    step = np.pi / span * 0.95
-    z = np.exp(-1j * np.outer(np.arange(order + 1), (omega - omega[0]) * step))
-    total = np.zeros((order + 1, order + 1))
-    for row in value:
-        w = 1.0 / (np.abs(row) + 0.05 * np.sqrt(np.mean(np.abs(row) ** 2)))
-        x, y = z * w, -z * (w * row)
-        r, s, t = np.real(x.conj() @ x.T), np.real(x.conj() @ y.T), np.real(y.conj() @ y.T)
-        total += t - s.T @ np.linalg.solve(r + 1e-10 * np.trace(r) / len(r) * np.eye(len(r)), s)
-    inner = np.linalg.lstsq(total[:-1, :-1], -total[:-1, -1], rcond=1e-12)[0]
-    roots = np.roots(np.append(inner, 1.0)[::-1])
-    roots = roots[np.abs(roots) > 0]
-    s = -np.log(roots) / step
-    poles = s.real + 1j * (s.imag + omega[0])
-    out = []
-    for p in poles:
-        inside = omega[0] < p.imag < omega[-1]
-        if p.real < 0 and inside and -p.real < 0.3 * abs(p):
-            out.append((float(abs(p) / 2 / np.pi), float(-p.real / abs(p))))
-    return sorted(out)
-
-
-def stable_poles(diagram: Stabilisation, modes: int | None = None) -> NDArray[np.float64]:
-    """(n, 2) frequency and damping ratio of the poles that repeat, the medians of their columns of the diagram."""
-    pick = np.flatnonzero(diagram.stable)
-    if not pick.size:
-        return np.zeros((0, 2))
-    order = pick[np.argsort(diagram.frequency[pick])]
-    f = diagram.frequency[order]
-    groups = np.split(order, np.flatnonzero(np.diff(f) > 1.5 * FREQUENCY_STAYS * f[:-1]) + 1)
-    half = 0.25 * np.unique(diagram.order).size
-    groups = [g for g in groups if g.size >= half] or [max(groups, key=len)]
-    if modes is not None:
-        groups = sorted(groups, key=len)[-modes:]
-    out = [(np.median(diagram.frequency[g]), np.median(diagram.damping_ratio[g])) for g in groups]
-    return np.array(sorted(out))
+def _poles(
+    frf: Frf, h: NDArray, weight: NDArray, order: int, modes: int | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Stabilisation]:
+    """Refined frequencies in Hz and damping ratios, and the diagram that they came from."""
+    best: tuple[NDArray, NDArray, Stabilisation] | None = None
+    least = np.inf
+    for even in (False, True):
+        diagram = stabilisation(frf.omega, frf.value[:, 0], order, even)
+        start = stable_poles(diagram, modes)
+        if not len(start):
+            continue
+        frequency, damping, cost = _refined(frf.omega, h, weight, start)
+        n, count = len(start), 2 * h.size
+        criterion = count * np.log(max(cost, 1e-300) / count) + n * (2 + len(h)) * np.log(count)
+        if criterion < least - BETTER:
+            best, least = (frequency, damping, diagram), criterion
+    if best is None:
+        raise EstimationError("no pole is stable from order to order: raise the order or narrow the band")
+    return best
 
 
 # -------------------------------------------------------------------- residues
@@ -299,8 +243,8 @@ def _needed(omega: NDArray, h: NDArray, weight: NDArray, mode: NDArray, zeta: ND
 
 def _refined(
     omega: NDArray, h: NDArray, weight: NDArray, poles: NDArray
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Frequencies and damping ratios that fit best when the residues follow (variable projection)."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Frequencies and damping ratios that fit best when the residues follow (variable projection), and the misfit."""
     n = len(poles)
     low, high = 0.35 * omega[0], 3.0 * omega[-1]
 
@@ -311,5 +255,5 @@ def _refined(
         return np.concatenate([r.real.ravel(), r.imag.ravel()])
 
     reach = np.concatenate([np.full(n, 0.02), np.full(n, 2.0)])
-    found = least_squares(left, np.zeros(2 * n), bounds=(-reach, reach), x_scale=reach, max_nfev=60).x
-    return poles[:, 0] * np.exp(found[:n]), poles[:, 1] * np.exp(found[n:])
+    found = least_squares(left, np.zeros(2 * n), bounds=(-reach, reach), x_scale=reach, max_nfev=60)
+    return poles[:, 0] * np.exp(found.x[:n]), poles[:, 1] * np.exp(found.x[n:]), 2 * float(found.cost)

@@ -9,9 +9,10 @@ from typer.testing import CliRunner
 
 from labnnum.errors import EstimationError
 from labnnum.frf import Frf
-from labnnum.identification import identify, lscf, receptance_of
+from labnnum.identification import identify, receptance_of
 from labnnum.recording import Channel
 from labnnum.response import frf as model_frf
+from labnnum.stabilisation import lscf
 from labnnum.structures import Chain
 from labnnum.structures.chain import Link
 from labnnum.structures.modal import ModalStructure, Mode

@@ -1,0 +1,139 @@
+r"""Stabilisation diagram: poles of common-denominator models of growing orders, and which of them repeat.
+
+Physical poles come again at every order that is high enough; those that only fit noise wander. The models are fitted
+in the z-domain by least squares (LSCF).
+
+References
+----------
+P. Guillaume, P. Verboven, S. Vanlanduit, "Frequency-domain maximum likelihood identification of modal parameters with
+confidence intervals", ISMA 23, 1998 (the LSCF estimator).
+P. Verboven, "Frequency-domain system identification for modal analysis", VUB, 2002, chapter 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FREQUENCY_STAYS, DAMPING_STAYS = 0.01, 0.2
+"""Relative change from one order to the next up to which a frequency and a damping ratio count as stable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stabilisation:
+    """Poles of every order.
+
+    `order` (n,), `frequency` (n,) in Hz, `damping_ratio` (n,); `frequency_stays` (n,) where a pole of the order before
+    has the same frequency, `damping_stays` (n,) where the one nearest in frequency has the same damping ratio, and
+    `stable` (n,) where one has both.
+    """
+
+    order: NDArray[np.int64]
+    frequency: NDArray[np.float64]
+    damping_ratio: NDArray[np.float64]
+    stable: NDArray[np.bool_]
+    frequency_stays: NDArray[np.bool_]
+    damping_stays: NDArray[np.bool_]
+
+
+def stabilisation(omega: NDArray, value: NDArray, order: int, even: bool = False) -> Stabilisation:
+    """Poles of common-denominator models of even orders from 4 to `order`, and which repeat from order to order.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (n_f,)
+        Lines, in rad/s, ascending.
+    value : ndarray, shape (n_out, n_f)
+        Complex FRFs of one input, in whatever unit.
+    order : int
+        Highest order of the denominator.
+    even : bool
+        Weights of the lines, see `lscf`.
+    """
+    rows: list[tuple[int, float, float, bool, bool, bool]] = []
+    before: list[tuple[float, float]] = []
+    for n in range(4, order + 1, 2):
+        found = lscf(omega, value, n, even)
+        rows += [(n, f, z, *_stays(f, z, before)) for f, z in found]
+        before = found
+    n, f, z, both, own, damped = zip(*rows, strict=True) if rows else ((), (), (), (), (), ())
+    flags = (np.array(x, bool) for x in (both, own, damped))
+    return Stabilisation(np.array(n, int), np.array(f, float), np.array(z, float), *flags)
+
+
+def _stays(f: float, z: float, before: list[tuple[float, float]]) -> tuple[bool, bool, bool]:
+    """Whether a pole has one of the order before with the same of both, the same frequency, the same damping ratio."""
+
+    def damped(y: float) -> bool:
+        return abs(z - y) < DAMPING_STAYS * max(z, 1e-4)
+
+    near = [(g, y) for g, y in before if abs(f - g) < FREQUENCY_STAYS * f]
+    nearest = min(before, key=lambda p: abs(f - p[0]), default=None)
+    return any(damped(y) for _, y in near), bool(near), nearest is not None and damped(nearest[1])
+
+
+def lscf(omega: NDArray, value: NDArray, order: int, even: bool = False) -> list[tuple[float, float]]:
+    """Frequency (Hz) and damping ratio of the decaying poles of one order, by least squares in the z-domain.
+
+    Parameters
+    ----------
+    omega : ndarray, shape (n_f,)
+    value : ndarray, shape (n_out, n_f)
+    even : bool
+        Weigh all lines of a response alike, as noise that is the same everywhere asks for; else by what is there, which
+        finds small modes between large ones where noise is small.
+    """
+    span = omega[-1] - omega[0]
+    step = np.pi / span * 0.95
+    z = np.exp(-1j * np.outer(np.arange(order + 1), (omega - omega[0]) * step))
+    total = np.zeros((order + 1, order + 1))
+    for row in value:
+        size = np.sqrt(np.mean(np.abs(row) ** 2))
+        w = np.full(row.size, 1.0 / size) if even else 1.0 / (np.abs(row) + 0.05 * size)
+        x, y = z * w, -z * (w * row)
+        r, s, t = np.real(x.conj() @ x.T), np.real(x.conj() @ y.T), np.real(y.conj() @ y.T)
+        total += t - s.T @ np.linalg.solve(r + 1e-10 * np.trace(r) / len(r) * np.eye(len(r)), s)
+    inner = np.linalg.lstsq(total[:-1, :-1], -total[:-1, -1], rcond=1e-12)[0]
+    roots = np.roots(np.append(inner, 1.0)[::-1])
+    roots = roots[np.abs(roots) > 0]
+    s = -np.log(roots) / step
+    poles = s.real + 1j * (s.imag + omega[0])
+    out = []
+    for p in poles:
+        inside = omega[0] < p.imag < omega[-1]
+        if p.real < 0 and inside and -p.real < 0.3 * abs(p):
+            out.append((float(abs(p) / 2 / np.pi), float(-p.real / abs(p))))
+    return sorted(out)
+
+
+def stable_poles(diagram: Stabilisation, modes: int | None = None) -> NDArray[np.float64]:
+    """(n, 2) frequency and damping ratio of the poles that repeat, the medians of their columns of the diagram.
+
+    A column in which most orders have two poles or more holds as many modes: close ones, in order of frequency.
+    """
+    pick = np.flatnonzero(diagram.stable)
+    if not pick.size:
+        return np.zeros((0, 2))
+    order = pick[np.argsort(diagram.frequency[pick])]
+    f = diagram.frequency[order]
+    groups = np.split(order, np.flatnonzero(np.diff(f) > 1.5 * FREQUENCY_STAYS * f[:-1]) + 1)
+    half = 0.25 * np.unique(diagram.order).size
+    groups = [g for g in groups if g.size >= half] or [max(groups, key=len)]
+    columns = [c for g in groups for c in _columns(diagram, g, half)]
+    if modes is not None:
+        columns = sorted(columns, key=len)[-modes:]
+    out = [(np.median(diagram.frequency[c]), np.median(diagram.damping_ratio[c])) for c in columns]
+    return np.array(sorted(out))
+
+
+def _columns(diagram: Stabilisation, group: NDArray, least: float) -> list[NDArray]:
+    """A group (n,) of poles in ascending frequency, apart by the number of poles that most of its orders have."""
+    held = [group[diagram.order[group] == n] for n in np.unique(diagram.order[group])]
+    sizes = np.array([h.size for h in held])
+    count = int(np.sort(sizes)[(sizes.size - 1) // 2])
+    alike = [h for h in held if h.size == count]
+    if count < 2 or len(alike) < least:
+        return [group]
+    return list(np.array(alike).T)
