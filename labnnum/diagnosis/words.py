@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labnnum.diagnosis.caveats import asked, of_one_level, of_ringing, one_level
 from labnnum.diagnosis.nonlinear.decision import KNOWN, strays
 from labnnum.diagnosis.nonlinear.detect import restless
 from labnnum.diagnosis.nonlinear.tie import tightness
@@ -18,10 +19,11 @@ COARSE = 2e-3
 
 
 def summarise(d: Diagnosis, observations: Sequence[Observation] = ()) -> str:
-    """One paragraph: verdict, place, mechanism with its parameters, what the fit gained, a mesh that is coarse, and
-    runs that do not repeat.
+    """One paragraph: verdict, place, mechanism with its parameters, what the fit gained, a mesh that is coarse, runs
+    that do not repeat, and what one level or records that end too soon cannot tell.
     """
-    return _found(d) + _mesh(d) + _restless(observations)
+    told = of_one_level(d, observations) + of_ringing(d, observations)
+    return _found(d) + _mesh(d) + _restless(observations) + told
 
 
 def _restless(observations: Sequence[Observation]) -> str:
@@ -213,17 +215,12 @@ def next_experiment(d: Diagnosis, observations: Sequence[Observation]) -> str:
         first = _listed([observations[i].label for i in moving])
         settle = f"Let the response settle for longer before recording {first}, or change the level a little."
         return f"{settle} {_next(d, observations)}".strip() if d.verdict != "unexplained" else settle
-    return _next(d, observations)
-
-
-APART = 1.2
-"""Ratio of two levels from which they tell whether FRFs change with level."""
+    return asked(d, observations, _next(d, observations))
 
 
 def _next(d: Diagnosis, observations: Sequence[Observation]) -> str:
-    levels = [o.level for o in observations if np.isfinite(o.level)]
     if d.verdict in ("consistent", "parameters"):
-        if max(levels, default=0.0) < APART * min(levels, default=1.0):
+        if one_level(observations):
             return "One level cannot tell linear from nonlinear: repeat at two and at four times the level."
         return ""
     if d.verdict == "unexplained":

@@ -137,7 +137,7 @@ def _repeated(label, level, scatter, own=1e-3):
     noise = np.full((2, 50), ((scatter * level) ** 2 + own**2) / 5)
     on = np.ones(50, bool)
     run = Run(1.0, 98, y[0], y, noise, on, level, label, CHANNELS, FORCE, 5)
-    return SimpleNamespace(run=run, label=label, level=level)
+    return SimpleNamespace(run=run, label=label, level=level, kind="periodic", recordings=(), distortion={})
 
 
 def test_runs_that_do_not_repeat_are_told_and_left_out_where_a_louder_one_repeats():
@@ -150,3 +150,73 @@ def test_runs_that_do_not_repeat_are_told_and_left_out_where_a_louder_one_repeat
     assert "The response of middle (by 20 %) differs from period to period" in summarise(d, [quiet, middle, loud])
     assert "settle for longer before recording middle" in next_experiment(d, [quiet, middle, loud])
     assert "period to period" not in summarise(d, [quiet, loud])
+
+
+def _seen(kind, level=1.0, length=10.0, distortion=()):
+    """One run: hits or a record of some length, and what its detection lines tell."""
+    rate = 1000.0
+    n = int(length * rate)
+    record = SimpleNamespace(rate=rate, spans=lambda: [(0, n)])
+    return SimpleNamespace(
+        kind=kind, level=level, recordings=(record,) if kind != "frf" else (),
+        distortion=dict.fromkeys(distortion, 0.0), frf=SimpleNamespace(settings={"lead": 0.0}), run=None, label=kind,
+    )  # fmt: skip
+
+
+def _linear(verdict="missing-physics", ratio=0.01, hertz=5.0):
+    """A diagnosis that names an added mass, of a structure with one mode."""
+    d = _unexplained(GROUND_2) if verdict == "unexplained" else _named(0.0)
+    d.detail.pop("nonlinear", None)
+    if verdict == "missing-physics":
+        d.named[0].term.mechanism = SimpleNamespace(id="added-mass", domain="linear", sense=lambda term, value: None)
+    engine = SimpleNamespace(
+        outputs=(), structure=SimpleNamespace(supports=()), finer=None, band_modes=np.array([0]),
+        seen_modes=np.array([0]), state=lambda theta: SimpleNamespace(omega=np.array([2 * np.pi * hertz])),
+    )  # fmt: skip
+    d.detail["engine"], d.theta, d.damping = engine, np.zeros(0), np.array([ratio])
+    return d
+
+
+LATE = 20 * np.log(20.0) / (2 * np.pi)  # s, until a mode of 5 Hz and 1 % has a twentieth left
+
+
+@pytest.mark.parametrize("verdict", ["missing-physics", "unexplained"])
+@pytest.mark.parametrize(
+    ("runs", "blind"),
+    [
+        ([_seen("hammer")], "All hits are of one level"),
+        ([_seen("random"), _seen("random", 1.1)], "One level was recorded, and no line left out of it"),
+        ([_seen("frf", np.nan)], "FRFs alone tell no level"),
+        ([_seen("hammer"), _seen("hammer", 4.0)], ""),
+        ([_seen("periodic", distortion=("odd", "odd_over_noise"))], ""),
+        ([_seen("periodic")], "One level was recorded"),
+    ],
+)
+def test_one_level_that_cannot_tell_linear_from_nonlinear_says_so(verdict, runs, blind):
+    d = _linear(verdict)
+    said, then = summarise(d, runs), next_experiment(d, runs)
+    assert ("cannot tell linear from nonlinear" in said) is bool(blind)
+    assert ("One level cannot tell linear from nonlinear" in then) is bool(blind)
+    assert blind in said
+    if blind and verdict == "missing-physics":
+        assert "added-mass at ground 3 may stand for a law that changes with level" in said
+    if blind:
+        assert then.lower().count("repeat at two") == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"), [("hammer", "the window that takes the rest off"), ("random", "leakage of its ends")]
+)
+@pytest.mark.parametrize(("part", "rings"), [(0.9, True), (1.1, False)])
+def test_records_that_end_while_the_response_rings_are_told(kind, said, part, rings):
+    d, runs = _linear(), [_seen(kind, length=part * LATE), _seen(kind, 5.0, length=part * LATE)]
+    assert (said in summarise(d, runs)) is rings
+    assert (f"Record {LATE:.2g} s or more" in next_experiment(d, runs)) is rings
+    assert ("6.7 % of its beginning" in summarise(d, runs)) is rings
+    periodic = [_seen("periodic", length=1.0, distortion=("odd",)), _seen("periodic", 5.0, length=1.0)]
+    assert "beginning" not in summarise(d, periodic)
+
+
+def test_a_nonlinear_name_is_not_doubted_for_its_one_level():
+    d = _named(0.8)
+    assert "cannot tell linear" not in summarise(d, [_seen("periodic", distortion=("odd",))])
