@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from labnnum.errors import EstimationError
 from labnnum.recording import Channel
 
 NOISE, DISTORTION, TRANSIENT = "noise", "nonlinear distortion", "transient"
@@ -144,7 +145,10 @@ def solved(u: NDArray, y: NDArray) -> NDArray[np.complex128]:
     """H (n_f, n_out, n_in) of least squares, y = H u, over segments: u (n_f, n_seg, n_in), y (n_f, n_seg, n_out)."""
     gram = np.einsum("fki,fkj->fij", u.conj(), u)
     right = np.einsum("fki,fko->fio", u.conj(), y)
-    return np.linalg.solve(gram, right).transpose(0, 2, 1)
+    try:
+        return np.linalg.solve(gram, right).transpose(0, 2, 1)
+    except np.linalg.LinAlgError:
+        raise EstimationError("inputs are silent or linearly dependent on a line: nothing can be told apart") from None
 
 
 def left_of(u: NDArray, y: NDArray, h: NDArray) -> NDArray[np.complex128]:

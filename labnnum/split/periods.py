@@ -70,6 +70,8 @@ def split_periods(recordings: Recording | Sequence[Recording], lines: NDArray | 
     if other is not None:
         raise EstimationError(f"{other.label}: period is {other.period} samples, expected one of 2 or more for all")
     groups = _realisations(batch, ins)
+    if len(groups) < len(ins):
+        raise EstimationError(f"{batch[0].label}: {len(ins)} inputs need as many realisations; there are {len(groups)}")
     steady_count = np.array([s.shape[0] for _, s in groups])
     if steady_count.max() < 2:
         raise EstimationError(f"{batch[0].label}: no two steady periods are there, so that noise cannot be told")
