@@ -17,8 +17,8 @@ def prove(
     suite: Annotated[
         str,
         typer.Argument(
-            help="linear or nonlinear: which physics is concealed in drawn structures. dissertation: what its models"
-            " left out. real: recordings by others."
+            help="linear or nonlinear: which physics is concealed in drawn structures. limits: how strong a nonlinear"
+            " law must be to be named. dissertation: what its models left out. real: recordings by others."
         ),
     ],
     cases: Annotated[int, typer.Option(help="How many cases to draw.")] = 40,
@@ -64,6 +64,9 @@ def prove(
 
         labnnum prove linear --cases 400 --seed 4711 -o proof
 
+    The suite "limits" draws strength, level of the drive and noise apart and tells, for every nonlinear law, how strong
+    it must be to be named at its place.
+
     The suite "dissertation" holds a fixed handful: the cantilevered beam and a frame of Atalla (1996), sections 5.6 and
     5.7, each with one effect concealed. The suite "real" runs recordings by others, found in --recordings, prints what
     was run here beside what is published, and writes both to OUT/real.md and real.json, with figures in a folder for
@@ -79,6 +82,9 @@ def prove(
         return
     if suite == "dissertation":
         _dissertation(console, out, jobs, tool, only or [], as_json)
+        return
+    if suite == "limits":
+        _limits(console, cases, seed, out, jobs, tool, score_only, as_json)
         return
     _require_suite(suite)
     from sessions.prove.run import Order, start
@@ -106,7 +112,26 @@ def _require_suite(suite: str) -> None:
     from sessions.prove.suite import SHARES
 
     if suite not in SHARES:
-        raise ConfigError(f"suite {suite!r} is not one of {', '.join(SHARES)}, dissertation, real")
+        raise ConfigError(f"suite {suite!r} is not one of {', '.join(SHARES)}, limits, dissertation, real")
+
+
+def _limits(
+    console: Console, cases: int, seed: int, out: Path, jobs: int, tool: str, score_only: bool, as_json: bool
+) -> None:
+    from rich.console import Console
+
+    from sessions.prove import limits
+
+    with _progress(console) as progress:
+        bars = _Bars(progress)
+        found = limits.run(
+            out, cases, seed, jobs, tool, lambda done, total: bars.step("diagnosing", done, total), not score_only
+        )
+    if as_json:
+        _print_json(found)
+        return
+    _table(Console(), "measure of a law at which half are named", limits.columns(), limits.lines(found))
+    console.print(f"answers, limits.json and limits.md are in {out}", highlight=False)
 
 
 def _real(recordings: Path | None, examples: Path | None, out: Path, only: list[str] | None, as_json: bool) -> None:

@@ -29,7 +29,7 @@ from sessions.prove import score, seal
 from sessions.prove.answers import entries, judge
 from sessions.prove.cases import KINDS, Case, measure
 from sessions.prove.jobs import each
-from sessions.prove.run import TOOL, answer
+from sessions.prove.run import TOOL, answer, load
 from sessions.prove.suite import SPAN, Ticket
 from sessions.prove.truth.nonlinear import NONLINEAR
 
@@ -93,21 +93,30 @@ class Seen:
 
 
 def run(
-    out: Path, cases: int, seed: int, jobs: int = 1, tool: str = TOOL, step: Step = lambda done, total: None
+    out: Path,
+    cases: int,
+    seed: int,
+    jobs: int = 1,
+    tool: str = TOOL,
+    step: Step = lambda done, total: None,
+    ask: bool = True,
 ) -> dict[str, Any]:
     """Draw, seal, measure and diagnose; go on where an earlier call was stopped. Writes limits.json and limits.md.
+
+    `ask` : whether the tool is asked about what has no answer yet.
 
     Raises
     ------
     ConfigError
         If `out` holds another suite.
     """
+    load(tool)
     probes = draw(cases, seed)
     sha256 = seal.seal(out, SUITE, seed, probes, jobs)
     todo = [p for p in probes if not score.answer_path(out, p.name).parent.joinpath("time.json").is_file()]
     done = cases - len(todo)
     step(done, cases)
-    for _ in each(partial(answer, out=out, keep=False, tool=tool), todo, jobs):
+    for _ in each(partial(answer, out=out, keep=False, tool=tool), todo if ask else (), jobs):
         done += 1
         step(done, cases)
     return write(out, seed, sha256, read(out, probes))
@@ -218,7 +227,6 @@ def write(out: Path, seed: int, sha256: str, seen: Sequence[Seen]) -> dict[str, 
                         "snr_db": snr,
                         "measure": float(np.exp(at)),
                         "factor": float(np.exp(NINETY * std)),
-                        "within": bool(reach[0] <= np.exp(at) <= reach[1]),
                     }
                     for level, snr, at, std in limits
                 ],
@@ -235,8 +243,8 @@ def write(out: Path, seed: int, sha256: str, seen: Sequence[Seen]) -> dict[str, 
 
 def columns() -> tuple[str, ...]:
     """Heads of the table."""
-    at = (f"{level:g} dB, noise {-snr:g} dB" for level, snr in SHOWN)
-    return ("law", "cases", "named", *at, "power of the drive")
+    at = (f"{level:g}, {-snr:g} dB" for level, snr in SHOWN)
+    return ("law", "cases", "named", *at, "power of drive")
 
 
 def lines(found: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -246,11 +254,20 @@ def lines(found: dict[str, Any]) -> list[tuple[str, ...]]:
             r["law"],
             str(r["n"]),
             str(r["named"]),
-            *(f"{x['measure']:.2g} (x/÷ {x['factor']:.1f}{'' if x['within'] else ', not drawn'})" for x in r["limits"]),
+            *(_cell(x, r["drawn"]) for x in r["limits"]),
             f"{r['exponent']:.1f} ± {NINETY * r['exponent_std']:.1f}",
         )
         for r in found["laws"]
     ]
+
+
+def _cell(limit: dict[str, Any], drawn: Sequence[float]) -> str:
+    """One limit in a few words, or the end of what was drawn where it lies beyond."""
+    if limit["measure"] < drawn[0]:
+        return f"< {drawn[0]:.1g}"
+    if limit["measure"] > drawn[1]:
+        return f"> {drawn[1]:.1g}"
+    return f"{limit['measure']:.2g} x/÷ {limit['factor']:.2g}"
 
 
 def markdown(found: dict[str, Any]) -> str:
@@ -263,7 +280,7 @@ def markdown(found: dict[str, Any]) -> str:
             f"{found['cases']} cases. Sealed truth SHA-256 `{found['sha256']}`.",
             "",
             "The measure of each law at the full drive (what it adds over what is there) at which half are named at",
-            f"their place. 20 dB less noise take it to {found['per_20_db']:.2f} of what it was.",
+            f"their place, by drive and noise. 20 dB less noise take it to {found['per_20_db']:.2f} of what it was.",
             "",
             "| " + " | ".join(heads) + " |",
             "|" + "---|" * len(heads),
