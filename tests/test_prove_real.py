@@ -146,7 +146,7 @@ def test_a_misspelt_suite_is_told_all_suites():
     done = called("reel")
     assert done.exit_code == 1
     assert isinstance(done.exception, ConfigError)
-    assert str(done.exception) == "suite 'reel' is not one of linear, nonlinear, dissertation, real"
+    assert str(done.exception) == "suite 'reel' is not one of linear, nonlinear, limits, dissertation, real"
     with pytest.raises(ConfigError, match="--recordings is missing"):
         CliRunner().invoke(app, ["prove", "real"], catch_exceptions=False)
 
