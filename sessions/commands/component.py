@@ -69,7 +69,7 @@ def _lines(content: dict[str, Any]) -> list[str]:
         left = f"law: {content['law']}, leaves {100 * best['held_out']:.1f} % of the force on {content['judged_on']}"
     lines = [left]
     for name, p in (content["parameters"] | content["derived"]).items():
-        lines.append(f"  {name}: {p['value']:.4g} +- {p['half_90']:.3g} {p['unit']} (90 %)")
+        lines.append(f"  {name}: {p['value']:.4g} +- {p['half_90']:.4g} {p['unit']} (90 %)")
     beside = content["viscous_beside"]
     lines.append(f"  a dashpot beside it: {beside['value']:.3g} +- {beside['half_90']:.3g} {beside['unit']} (90 %)")
     rows = [[f["law"], f"{f['error']:.3f}", f"{f['held_out']:.3f}"] for f in content["laws"]]

@@ -43,9 +43,7 @@ def friction_damper(
     rows = [Row(NAME, "law", content["law"] or "none", "dry friction with backlash", "friction with clearance")]
     rows += [_parameter(name, p) for name, p in (content["parameters"] | content["derived"]).items()]
     beside = content["viscous_beside"]
-    rows.append(
-        Row(NAME, "dashpot beside the law, N*s/m", f"{beside['value']:.0f} +- {beside['half_90']:.0f} (90 %)", "none")
-    )
+    rows.append(Row(NAME, "dashpot beside the law, N*s/m", f"{beside['value']:.0f} +- {beside['half_90']:.0f} (90 %)"))
     rows += [
         Row(NAME, f"relative error held out, {f['law']}", f"{f['held_out']:.3f}",
             asked="viscous damping rejected" if f["law"].startswith("viscous") else "")
@@ -65,7 +63,7 @@ def friction_damper(
 
 def _parameter(name: str, p: dict[str, Any]) -> Row:
     scale, unit = (1e3, "mm") if p["unit"] == "m" else (1.0, p["unit"])
-    value = f"{scale * p['value']:.4g} +- {scale * p['half_90']:.3g} (90 %)"
+    value = f"{scale * p['value']:.4g} +- {scale * p['half_90']:.4g} (90 %)"
     lost = name in ("backlash", "half travel", "full travel")
     return Row(NAME, f"{name}, {unit}", value, "about 7 in all" if lost else "")
 
