@@ -17,7 +17,7 @@ R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ CHANCE = 1e-4
 """Chance with which a mode beside the band is taken for needed where there is none."""
 IDENTIFIED = 1e-6
 """What modes that were identified miss at least, by which they are known from those that were computed."""
+PARTED = 0.5
+"""Share of the misfit that two modes in the stead of one leave at most: less, and one is as good a name for them."""
 BETTER = 10.0
 """Bayesian information criterion by which the poles of the second diagram must be better, very strong evidence."""
 SMALLEST = 1e-6
@@ -59,6 +61,14 @@ class Identified:
     fitted: NDArray[np.complex128]
     stabilisation: Stabilisation
     nodal: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def shapes(self) -> NDArray[np.float64]:
+        """Mass-normalised shapes of the modes in the band at the responses' places, 1/sqrt(kg), (n_places, n)."""
+        modes = self.structure.modes
+        have = np.array([float(m.frequency) for m in modes])
+        own = [modes[int(np.argmin(np.abs(have - f)))] for f in self.frequency]
+        return np.array([[float(v) for v in m.shape.values()] for m in own]).T
 
 
 def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
@@ -98,6 +108,30 @@ def identify(frf: Frf, order: int = 30, modes: int | None = None) -> Identified:
     structure = ModalStructure(built, error=max(_lack(frf, missed, power), IDENTIFIED))
     error = float(np.sqrt(np.mean(missed.sum(axis=1) / power.sum(axis=1))))
     return Identified(poles, damping, structure, error, fitted, diagram, omega[nodal] / (2 * np.pi))
+
+
+def reciprocal(frf: Frf) -> Frf:
+    """FRFs of one response to forces at several places, as of several responses to one force (Maxwell's reciprocity).
+
+    A hammer that roves while one sensor stays measures what several sensors do while the force stays.
+
+    Raises
+    ------
+    EstimationError
+        If there are several responses, or an input or the response is no force or translation.
+    """
+    if len(frf.outputs) != 1:
+        raise EstimationError(f"only FRFs of one response can be turned round, not of {len(frf.outputs)}")
+    sensor = frf.outputs[0]
+    if any(c.quantity != "force" or c.role == "base" for c in frf.inputs) or "angle" in sensor.quantity:
+        raise EstimationError("FRFs are turned round between forces and translations only")
+    force = replace(frf.inputs[0], name=f"force at {sensor.node}", node=sensor.node, direction=sensor.direction)
+    sensors = tuple(replace(sensor, name=c.name, node=c.node, direction=c.direction) for c in frf.inputs)
+    return replace(
+        frf, value=np.swapaxes(frf.value, 0, 1), outputs=sensors, inputs=(force,), coherence=None, input_spectrum=None,
+        variance=None if frf.variance is None else np.swapaxes(frf.variance, 0, 1), input_condition=None,
+        shared=None if frf.shared is None else np.swapaxes(frf.shared, 0, 1),
+    )  # fmt: skip
 
 
 def _lack(frf: Frf, missed: NDArray, power: NDArray) -> float:
@@ -149,21 +183,55 @@ def _poles(
     frf: Frf, h: NDArray, weight: NDArray, order: int, modes: int | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], Stabilisation]:
     """Refined frequencies in Hz and damping ratios, and the diagram that they came from."""
-    best: tuple[NDArray, NDArray, Stabilisation] | None = None
+    best: tuple[_Refined, Stabilisation] | None = None
     least = np.inf
     for even in (False, True):
         diagram = stabilisation(frf.omega, frf.value[:, 0], order, even)
         start = stable_poles(diagram, modes)
         if not len(start):
             continue
-        frequency, damping, cost = _refined(frf.omega, h, weight, start)
-        n, count = len(start), 2 * h.size
-        criterion = count * np.log(max(cost, 1e-300) / count) + n * (2 + len(h)) * np.log(count)
-        if criterion < least - BETTER:
-            best, least = (frequency, damping, diagram), criterion
+        found = _refined(frf.omega, h, weight, start)
+        if _criterion(h, found) < least - BETTER:
+            best, least = (found, diagram), _criterion(h, found)
     if best is None:
         raise EstimationError("no pole is stable from order to order: raise the order or narrow the band")
-    return best
+    found, diagram = best
+    while modes is None or len(found[0]) < modes:
+        parted = _parted(frf.omega, h, weight, found)
+        if parted is None or parted[2] > PARTED * found[2] or _criterion(h, parted) > _criterion(h, found) - BETTER:
+            break
+        found = parted
+    return found[0], found[1], diagram
+
+
+_Refined = tuple[NDArray[np.float64], NDArray[np.float64], float]
+"""Frequencies (n,) in Hz, damping ratios (n,) and the weighted misfit."""
+
+
+def _criterion(h: NDArray, found: _Refined) -> float:
+    """Bayesian information criterion of modes, of a noise whose size is not known."""
+    count = 2 * h.size
+    unknown = len(found[0]) * (2 + len(h))
+    return float(count * np.log(max(found[2], 1e-300) / count) + unknown * np.log(count))
+
+
+def _parted(omega: NDArray, h: NDArray, weight: NDArray, found: _Refined) -> _Refined | None:
+    """Two close modes in the stead of the one around which most is left; None where that is what the weights grant."""
+    frequency, damping, _ = found
+    own = 2 * np.pi * frequency
+    mode, zeta = _with_rest(omega, own, damping)
+    left = (h - _residues(omega, h, weight, mode, zeta).T @ _basis(omega, mode, zeta)) * weight
+    power = np.mean(np.abs(left) ** 2, axis=0) / 2
+    width = np.maximum(2 * damping * own, 2 * np.median(np.diff(omega)))
+    near = [power[np.abs(omega - w) < d] for w, d in zip(own, width, strict=True)]
+    k = int(np.argmax([p.sum() for p in near]))
+    if near[k].mean() < 1:
+        return None
+    both = frequency[k] * (1 + 0.5 * damping[k] * np.array([-1.0, 1.0]))
+    start = np.column_stack(
+        [np.append(np.delete(frequency, k), both), np.append(np.delete(damping, k), damping[[k, k]])]
+    )
+    return _refined(omega, h, weight, start[np.argsort(start[:, 0])])
 
 
 # -------------------------------------------------------------------- residues
@@ -197,9 +265,7 @@ def _scaled(
     the drive are fitted anew.
     """
     omega = frf.omega
-    low, high = 0.35 * omega[0], 3.0 * omega[-1]
-    mode = np.concatenate([[low], 2 * np.pi * poles, [high]])
-    zeta = np.concatenate([[0.05], damping, [0.05]])
+    mode, zeta = _with_rest(omega, 2 * np.pi * poles, damping)
     beside = np.arange(mode.size) % (mode.size - 1) == 0
     for i in (mode.size - 1, 0):
         if not _needed(omega, h, _noise(frf, h), mode, zeta, i):
@@ -241,16 +307,18 @@ def _needed(omega: NDArray, h: NDArray, weight: NDArray, mode: NDArray, zeta: ND
     return bool(fisher.sf((without - whole) / h.shape[0] / noise, h.shape[0], free) < CHANCE)
 
 
-def _refined(
-    omega: NDArray, h: NDArray, weight: NDArray, poles: NDArray
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _with_rest(omega: NDArray, mode: NDArray, zeta: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Frequencies in rad/s and damping ratios of modes, and of one below and one above the band beside them."""
+    low, high = 0.35 * omega[0], 3.0 * omega[-1]
+    return np.concatenate([[low], mode, [high]]), np.concatenate([[0.05], zeta, [0.05]])
+
+
+def _refined(omega: NDArray, h: NDArray, weight: NDArray, poles: NDArray) -> _Refined:
     """Frequencies and damping ratios that fit best when the residues follow (variable projection), and the misfit."""
     n = len(poles)
-    low, high = 0.35 * omega[0], 3.0 * omega[-1]
 
     def left(x: NDArray) -> NDArray:
-        mode = np.concatenate([[low], 2 * np.pi * poles[:, 0] * np.exp(x[:n]), [high]])
-        zeta = np.concatenate([[0.05], poles[:, 1] * np.exp(x[n:]), [0.05]])
+        mode, zeta = _with_rest(omega, 2 * np.pi * poles[:, 0] * np.exp(x[:n]), poles[:, 1] * np.exp(x[n:]))
         r = (h - _residues(omega, h, weight, mode, zeta).T @ _basis(omega, mode, zeta)) * weight
         return np.concatenate([r.real.ravel(), r.imag.ravel()])
 

@@ -54,8 +54,9 @@ def stabilisation(omega: NDArray, value: NDArray, order: int, even: bool = False
     """
     rows: list[tuple[int, float, float, bool, bool, bool]] = []
     before: list[tuple[float, float]] = []
+    blocks = _Normal.of(omega, value, order, even) if even else None
     for n in range(4, order + 1, 2):
-        found = lscf(omega, value, n, even)
+        found = lscf(omega, value, n) if blocks is None else blocks.poles(n)
         rows += [(n, f, z, *_stays(f, z, before)) for f, z in found]
         before = found
     n, f, z, both, own, damped = zip(*rows, strict=True) if rows else ((), (), (), (), (), ())
@@ -85,27 +86,53 @@ def lscf(omega: NDArray, value: NDArray, order: int, even: bool = False) -> list
         Weigh all lines of a response alike, as noise that is the same everywhere asks for; else by what is there, which
         finds small modes between large ones where noise is small.
     """
-    span = omega[-1] - omega[0]
-    step = np.pi / span * 0.95
-    z = np.exp(-1j * np.outer(np.arange(order + 1), (omega - omega[0]) * step))
-    total = np.zeros((order + 1, order + 1))
-    for row in value:
-        size = np.sqrt(np.mean(np.abs(row) ** 2))
-        w = np.full(row.size, 1.0 / size) if even else 1.0 / (np.abs(row) + 0.05 * size)
-        x, y = z * w, -z * (w * row)
-        r, s, t = np.real(x.conj() @ x.T), np.real(x.conj() @ y.T), np.real(y.conj() @ y.T)
-        total += t - s.T @ np.linalg.solve(r + 1e-10 * np.trace(r) / len(r) * np.eye(len(r)), s)
-    inner = np.linalg.lstsq(total[:-1, :-1], -total[:-1, -1], rcond=1e-12)[0]
-    roots = np.roots(np.append(inner, 1.0)[::-1])
-    roots = roots[np.abs(roots) > 0]
-    s = -np.log(roots) / step
-    poles = s.real + 1j * (s.imag + omega[0])
-    out = []
-    for p in poles:
-        inside = omega[0] < p.imag < omega[-1]
-        if p.real < 0 and inside and -p.real < 0.3 * abs(p):
-            out.append((float(abs(p) / 2 / np.pi), float(-p.real / abs(p))))
-    return sorted(out)
+    return _Normal.of(omega, value, order, even).poles(order)
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Normal equations of the common-denominator model, for an order and all below: their leading blocks.
+
+    `own`, `across` and `power` (n_out, order + 1, order + 1) are the products of numerator columns, of numerator with
+    denominator columns and of these among themselves.
+    """
+
+    omega: NDArray[np.float64]
+    step: float
+    own: NDArray[np.float64]
+    across: NDArray[np.float64]
+    power: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, omega: NDArray, value: NDArray, order: int, even: bool) -> _Normal:
+        step = float(np.pi / (omega[-1] - omega[0]) * 0.95)
+        z = np.exp(-1j * np.outer(np.arange(order + 1), (omega - omega[0]) * step))
+        products = []
+        for row in value:
+            size = np.sqrt(np.mean(np.abs(row) ** 2))
+            w = np.full(row.size, 1.0 / size) if even else 1.0 / (np.abs(row) + 0.05 * size)
+            x, y = z * w, -z * (w * row)
+            products.append([np.real(a.conj() @ b.T) for a, b in ((x, x), (x, y), (y, y))])
+        own, across, power = (np.array(p) for p in zip(*products, strict=True))
+        return cls(omega, step, own, across, power)
+
+    def poles(self, order: int) -> list[tuple[float, float]]:
+        """Frequency (Hz) and damping ratio of the decaying poles of an order."""
+        n = order + 1
+        total = np.zeros((n, n))
+        for r, s, t in zip(self.own[:, :n, :n], self.across[:, :n, :n], self.power[:, :n, :n], strict=True):
+            total += t - s.T @ np.linalg.solve(r + 1e-10 * np.trace(r) / n * np.eye(n), s)
+        inner = np.linalg.lstsq(total[:-1, :-1], -total[:-1, -1], rcond=1e-12)[0]
+        roots = np.roots(np.append(inner, 1.0)[::-1])
+        roots = roots[np.abs(roots) > 0]
+        s = -np.log(roots) / self.step
+        poles = s.real + 1j * (s.imag + self.omega[0])
+        out = []
+        for p in poles:
+            inside = self.omega[0] < p.imag < self.omega[-1]
+            if p.real < 0 and inside and -p.real < 0.3 * abs(p):
+                out.append((float(abs(p) / 2 / np.pi), float(-p.real / abs(p))))
+        return sorted(out)
 
 
 def stable_poles(diagram: Stabilisation, modes: int | None = None) -> NDArray[np.float64]:

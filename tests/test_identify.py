@@ -131,6 +131,29 @@ def test_modes_beside_the_band_stand_only_for_what_is_there(noise):
             assert beside or len(found.structure.modes) == 3
 
 
+def two_close(apart, noise, seed):
+    """Modes at 3, 6 and 9 Hz, and one a share of a half-power bandwidth above the second; variance not stated."""
+    shapes = ((1.0, 0.8, 0.6), (0.9, 1.0, -0.9), (0.8, -0.7, 0.9), (0.7, -0.9, 0.5))
+    named = [dict(zip(("1:x", "2:x", "3:x"), row, strict=True)) for row in shapes]
+    frequency = (3.0, 6.0, 6.0 * (1 + 2 * 0.006 * apart), 9.0)
+    lines = np.linspace(2.0, 12.0, 1600)
+    structure = ModalStructure(tuple(map(Mode, frequency, (0.006,) * 4, named)))
+    value = model_frf(structure, [], lines, OUTPUTS, FORCE)
+    normal = np.random.default_rng(seed).standard_normal((2, *value.shape)) / np.sqrt(2)
+    size = noise * np.sqrt(np.mean(np.abs(value) ** 2, axis=-1, keepdims=True))
+    return Frf(lines, value + size * (normal[0] + 1j * normal[1]), OUTPUTS, FORCE), frequency
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+def test_two_modes_within_half_a_bandwidth_are_told_apart(noise, seed):
+    frf, frequency = two_close(0.5, noise, seed)
+    found = identify(frf, 40)
+    assert found.frequency.size == 4
+    np.testing.assert_allclose(found.frequency, frequency, rtol=1e-3)
+    assert identify(frf, 40, modes=3).frequency.size == 3
+
+
 def test_lscf_of_a_low_order_comes_near_the_poles():
     value = receptance_of(measured())
     poles = np.array(lscf(2 * np.pi * LINES, value, 12))

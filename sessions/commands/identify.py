@@ -17,12 +17,16 @@ def identify(
     order: Annotated[int, typer.Option(help="Highest order of the stabilisation diagram.", min=4)] = 40,
     modes: Annotated[int | None, typer.Option(help="How many modes to keep.", min=1)] = None,
     only: Annotated[str, typer.Option(help="Take recordings whose label contains this.")] = "",
+    report: Annotated[bool, typer.Option(help="Write a page beside the model: diagram, FRFs, modes, MAC.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
 ) -> None:
     """Identify modes in the recording of the lowest level and write them as a model of kind "modal".
 
     The sensors are its nodes, so that a diagnosis may look for physics at each and between each two. One force must
-    drive a place where a response is measured.
+    drive a place where a response is measured; FRFs of a hammer that roves before one sensor are taken by reciprocity.
+
+    Beside the model a page is written, base.html for base.toml: the stabilisation diagram, measured and synthesised
+    FRFs, natural frequencies and damping ratios with their standard deviations, mode shapes and their MAC matrix.
 
     For example:
 
@@ -32,9 +36,9 @@ def identify(
 
     from labnnum.identification import IDENTIFIED
     from sessions.commands.printing import note
-    from sessions.identify import identify_files
+    from sessions.identify import identify_files, remarks
 
-    said = identify_files(recordings, out, channels, low, high, order, modes, only)
+    said = identify_files(recordings, out, channels, low, high, order, modes, only, report)
     if as_json:
         typer.echo(json.dumps(said))
         return
@@ -42,9 +46,9 @@ def identify(
     if said["beyond_noise"] > IDENTIFIED:
         error += f", {100 * said['beyond_noise']:.2g} % of it beyond noise (structure.error)"
     typer.echo(f"{said['model']}: {len(said['modes'])} modes of {said['recording']}, {error}")
-    if said["clipped"]:
-        note(f"{said['recording']}: {', '.join(said['clipped'])} clips; modes from it are not to be trusted")
-    for f in said["nodal_at_drive"]:
-        note(f"the mode at {f:.4g} Hz hardly moves the driven place: the size of its shape elsewhere is uncertain")
+    for line in remarks(said["recording"], said["clipped"], said["nodal_at_drive"]):
+        note(line)
     for m in said["modes"]:
         typer.echo(f"{m['frequency']:12.4f} Hz {100 * m['damping_ratio']:8.3f} %")
+    if said["report"]:
+        typer.echo(f"report: {said['report']}")
