@@ -18,6 +18,7 @@ from labnnum.mechanisms import ExtendedStructure
 from labnnum.recording import Recording
 from labnnum.structures.base import Structure
 from sessions.exchange import read_any
+from sessions.levels import per_level
 from sessions.limits import read_limits
 from sessions.model import Model, read_model, write_model
 from sessions.own_mechanisms import catalogue, source_of, sources
@@ -80,11 +81,12 @@ def run_observed(
     p = model.places
     places = {k: getattr(p, k) for k in ("nodes", "elements", "supports") if getattr(p, k) is not None}
     span = (0.9 * model.bands[0].low, 1.05 * model.bands[-1].high) if model.bands else None
-    return diagnose(
+    d = diagnose(
         model.structure, train, test, places=places, span=span, scatter=scatter, limits=limits, 
         catalogue=catalogue([*mechanisms, *sources(model.raw.get("mechanism", ()), model.path.parent)]),
         progress=progress,
     )  # fmt: skip
+    return replace(d, nonlinear={**d.nonlinear, "per_level": per_level([*train, *test])})
 
 
 def _require_sensors(model: Model, observations: Sequence[Observation]) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from labnnum.diagnosis import Diagnosis
 from labnnum.diagnosis.nonlinear.decision import KNOWN
 from labnnum.diagnosis.nonlinear.joined import Predicted, levels
+from labnnum.diagnosis.nonlinear.shown import Drawn, of_each
 from sessions.report.figures import _STYLE, AFTER, BEFORE, MEASURED, fixed, svg
 from sessions.report.figures import RASTER_FROM as MANY
 from sessions.report.numbers import percent
@@ -23,28 +25,76 @@ SHOWN = 8
 
 
 def nonlinear_section(d: Diagnosis) -> Section | None:
-    """Signs of nonlinearity, what was tried, and the restoring force level by level; None for a linear diagnosis."""
+    """Signs of nonlinearity, over all levels and level by level, what was tried, and the restoring force of each law
+    that was found, level by level; None where there is nothing to say.
+    """
     found = d.detail.get("nonlinear")
-    if found is None:
+    by_level = signs_by_level(d.nonlinear.get("per_level", ()))
+    if found is None and not by_level:
         return None
     rows = [
         ["change of the FRFs, lowest to highest level", _share(d.nonlinear.get("level_dependence"))],
-        ["odd distortion", _db(d.nonlinear.get("odd_distortion_db"))],
-        ["even distortion", _db(d.nonlinear.get("even_distortion_db"))],
-        ["chi-square per value, base model", f"{found.study.base.data_part / found.study.base.count:.3g}"],
-        ["chi-square per value, with the laws", f"{found.misfit:.3g}"],
+        ["odd distortion, the largest of all runs", _db(d.nonlinear.get("odd_distortion_db"))],
+        ["even distortion, the largest of all runs", _db(d.nonlinear.get("even_distortion_db"))],
     ]
-    body = table(["sign", "value"], rows, (1,))
-    if found.curves:
+    if found is not None:
+        rows += [
+            ["chi-square per value, base model", f"{found.study.base.data_part / found.study.base.count:.3g}"],
+            ["chi-square per value, with the laws", f"{found.misfit:.3g}"],
+        ]
+    body = table(["sign", "value"], rows, (1,)) + by_level
+    drawn = of_each(found) if found is not None else ()
+    if drawn:
         body += Markup("<p>{}</p>").format(
-            "The force that the base model lacks at the place, recovered line by line from the responses, against the"
-            " motion and the speed there. A law without memory is one line; a loop is friction or hysteresis."
+            "The force that the base model lacks at a place, recovered line by line from the responses, against the"
+            " motion and the speed there, where several laws are named with the others' forces known. A law without"
+            " memory is one line; a loop is friction or hysteresis."
         )
+    for one in drawn:
+        body += Markup("<h3>{} at {}, {}</h3>").format(one.name, one.spot.place, one.spot.axis.lstrip("-"))
         body += figure(
-            restoring_figure(d),
-            "Dark: recovered. Blue: the best law along the same motion, a line where it is a function of it.",
+            restoring_figure(one),
+            "Dark: recovered. Blue: the law along the same motion, a line where it is a function of it.",
         )
-    return Section("nonlinear", "Nonlinear physics", body)
+    return Section("nonlinear", "Nonlinear physics" if found is not None else "Signs of nonlinear physics", body)
+
+
+KINDS = {"periodic": "periods", "random": "noise or sweep", "hammer": "hits", "frf": "FRFs"}
+UNITS = {"periodic": "RMS", "random": "RMS", "hammer": "peak"}
+
+
+def signs_by_level(rows: Sequence[Mapping[str, Any]]) -> Markup:
+    """What each level shows, a row a level; empty where no level shows anything that could be told."""
+    if not rows:
+        return Markup("")
+    orders = list(dict.fromkeys(k for r in rows for k in r["harmonics"] or {}))
+    parts = list(dict.fromkeys(k for r in rows for k in r["shares"] or {}))
+    head = ["recorded", "level", "runs", "change of the FRFs", "odd distortion", "even distortion"]
+    head += [f"order {k}" for k in orders] + [f"{name}" for name in parts]
+    body = []
+    for r in rows:
+        level = "–" if r["level"] is None else f"{r['level']:.3g} {UNITS.get(r['kind'], '')}"
+        change = "–" if r["change"] is None else percent(r["change"])
+        row = [KINDS.get(r["kind"], r["kind"]), level, r["runs"], change, _beyond(r, "odd"), _beyond(r, "even")]
+        told = [(r["harmonics"] or {}).get(k) for k in orders]
+        row += ["–" if x is None else f"{x:.1f} dB" for x in told]
+        shares = [(r["shares"] or {}).get(k) for k in parts]
+        body.append(row + ["–" if x is None else percent(max(x, 0.0)) for x in shares])
+    text = (
+        "Level by level, the quietest first: the change of the FRFs from the quietest level; what stands on detection"
+        " lines, relative to the lines that were played, and by how much it stands above the noise there; the harmonics"
+        " of a sweep, relative to its fundamental; and shares of the responses' power, in the mean, that ordinary"
+        " coherence lacks, by what made them. A dash: this excitation does not tell."
+    )
+    return Markup("<p>{}</p>").format(text) + table(head, body, tuple(range(1, len(head))))
+
+
+def _beyond(row: Mapping[str, Any], name: str) -> str:
+    """Distortion in dB, and in brackets how far above the noise."""
+    value, above = row[f"{name}_db"], row[f"{name}_over_noise_db"]
+    if value is None:
+        return "–"
+    return f"{value:.1f} dB" + ("" if above is None else f" ({above:+.1f})")
 
 
 def levels_section(d: Diagnosis) -> Section | None:
@@ -147,17 +197,16 @@ def _share(x: float | None) -> str:
 
 
 def _db(x: float | None) -> str:
-    return "no detection lines" if x is None else f"{x:.1f} dB under the excited lines"
+    return "no detection lines" if x is None else f"{x:.1f} dB relative to the excited lines"
 
 
 MOVING, TURNING = ("motion, m", "speed, m/s", "force, N"), ("rotation, rad", "rate, rad/s", "moment, N m")
 """What stands along the axes where a place moves, and where it turns."""
 
 
-def restoring_figure(d: Diagnosis) -> str:
-    """SVG: restoring force against displacement and velocity, a row a level."""
-    found = d.detail["nonlinear"]
-    turns = found.laws[0].spot.axis.lstrip("-").startswith("r")
+def restoring_figure(found: Drawn) -> str:
+    """SVG: restoring force of a law against displacement and velocity, a row a run."""
+    turns = found.spot.axis.lstrip("-").startswith("r")
     motion, speed, force = TURNING if turns else MOVING
 
     with matplotlib.rc_context(_STYLE):

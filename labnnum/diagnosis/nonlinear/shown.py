@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labnnum.diagnosis.nonlinear.bench import Bench, Study, Tried
 from labnnum.diagnosis.nonlinear.fitting import Made
-from labnnum.diagnosis.nonlinear.laws import force_along
-from labnnum.diagnosis.nonlinear.locate import Recovered, recover
+from labnnum.diagnosis.nonlinear.laws import LawShape, force_along
+from labnnum.diagnosis.nonlinear.locate import Recovered, Spot, recover
 from labnnum.diagnosis.scatter import Scatter
+
+if TYPE_CHECKING:
+    from labnnum.diagnosis.nonlinear.decision import NonlinearAnswer
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +49,48 @@ def curves(found: Study, best: Tried, last: Made | None = None, scatter: Scatter
     same = [i for i, t in enumerate(() if last is None else last.terms) if t.mechanism == term.mechanism and
             abs(t.column @ term.column) > 0.999 * np.linalg.norm(t.column) * np.linalg.norm(term.column)]  # fmt: skip
     if last is not None and scatter is not None and same:
-        p, seen = last.whole(same[0]), _beside(found, last, same[0], seen, scatter)
+        p, seen = last.whole(same[0]), _beside(found, last, same[0], seen.spot, scatter)
+    return _curves(found, seen, term.shape, p, sign, last, same[0] if same else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A law at its place, and what is drawn of it."""
+
+    name: str
+    spot: Spot
+    curves: tuple[Curve, ...]
+
+
+def of_each(found: NonlinearAnswer) -> tuple[Drawn, ...]:
+    """The curves of an answer, and those of every further law that it names, which acts at another place or beside the
+    first one: recovered through the base of the last fit, the other laws' forces known.
+    """
+    named = next((t for t in found.study.tried if t.named and t.simulated), found.laws[0])
+    best = named if found.laws[0].named else found.laws[0]  # as the decision has it
+    out = [Drawn(best.name, best.spot, found.curves)] if found.curves else []
+    names, last = {(n.term.mechanism.id, n.place) for n in found.named}, found.laws[-1].made
+    for i, law in enumerate(found.laws):
+        drawn = any(law.name == d.name and law.spot.where == d.spot.where for d in out)
+        if drawn or (law.name, law.spot.place) not in names or i >= len(last.terms):
+            continue
+        spot = replace(law.spot, axis=law.spot.axis.lstrip("-"))
+        seen = _beside(found.study, last, i, spot, found.scatter)
+        sign = -1.0 if law.spot.axis.startswith("-") else 1.0
+        made = _curves(found.study, seen, last.terms[i].shape, last.whole(i), sign, last, i)
+        out.append(Drawn(law.name, law.spot, made))
+    return tuple(out)
+
+
+def _curves(
+    found: Study, seen: Recovered, shape: LawShape, p: NDArray, sign: float, last: Made | None, own: int | None
+) -> tuple[Curve, ...]:  # fmt: skip
+    """Force and law run by run; `own` is the number of the law in the last fit."""
     out = []
     for i, (run, z, v, f) in enumerate(zip(found.runs, seen.z, seen.v, seen.f, strict=True)):
-        rest = 0.0 if run.decay or last is None or not same else _rest(last, same[0], i)
+        rest = 0.0 if run.decay or last is None or own is None else _rest(last, own, i)
         z = z + np.where(z == 0.0, 0.0, sign * rest)
-        law = force_along(term.shape, sign * z, sign * v, p, run.lasting) * sign
+        law = force_along(shape, sign * z, sign * v, p, run.lasting) * sign
         if not run.decay:
             f = f - np.where(f == 0.0, 0.0, np.mean(law[f != 0.0]) if np.any(f) else 0.0)
         heard = z.size if not run.decay else int(z.size * min(1.0, -np.log(HEARD) * run.rate / run.decay / run.period))
@@ -65,7 +105,7 @@ def _rest(last: Made, own: int, i: int) -> float:
     return 0.0 if orbit is None else float(np.mean(orbit.motion[:, own, 0]))
 
 
-def _beside(found: Study, last: Made, own: int, seen: Recovered, scatter: Scatter) -> Recovered:
+def _beside(found: Study, last: Made, own: int, spot: Spot, scatter: Scatter) -> Recovered:
     """The force at the spot of law `own` as the base of the last fit shows it, the other laws' forces known."""
     others = [i for i in range(len(last.terms)) if i != own]
     motions = last.x[last.bare : last.n_base].reshape(len(last.terms), -1)
@@ -74,7 +114,7 @@ def _beside(found: Study, last: Made, own: int, seen: Recovered, scatter: Scatte
     if others:
         orbits = [None if o is None else replace(o, force=o.force[others]) for o in last.orbits[: len(found.runs)]]
     bench = Bench(found.engine, found.point, found.runs, scatter, ()).on(FEW)
-    return recover(bench.joint_of([last.terms[i] for i in others]), x, found.point, seen.spot, orbits)
+    return recover(bench.joint_of([last.terms[i] for i in others]), x, found.point, spot, orbits)
 
 
 FEW = 2
