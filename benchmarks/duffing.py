@@ -15,22 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from labnnum.harmonic import Branch, HarmonicBalance, Oscillator
+from labnnum.harmonic import Curve, HarmonicBalance
+from labnnum.nonlinear import Element
+from labnnum.structures.chain import Chain, Link
 from labnnum.structures.duffing import Duffing
 
 MU, ALPHA, FORCE = 0.25, 1.5, 0.6
+TURN = 2 * np.pi
 DIRECTIONS = ("forward", "backward")
 
 
-def oscillator(epsilon: float) -> Oscillator:
+def balance(epsilon: float, harmonics: int = 5) -> HarmonicBalance:
     """The same equation for harmonic balance."""
-    return Oscillator(1.0, 2 * epsilon * MU, 1.0, epsilon * FORCE, "cubic", (epsilon * ALPHA,))
+    one = Chain({"1": 1.0}, (Link("1", "ground", 1.0, 2 * epsilon * MU),))
+    spring = Element("cubic", np.ones(1), (epsilon * ALPHA,))
+    return HarmonicBalance(one, "1:x", epsilon * FORCE, elements=[spring], harmonics=harmonics)
 
 
-def branch(epsilon: float, harmonics: int = 5) -> Branch:
+def branch(epsilon: float) -> Curve:
     """The response curve around its folds, detuning -1 to 2.5 as in the example."""
-    balance = HarmonicBalance(oscillator(epsilon), harmonics)
-    return balance.curve(1 - 1.2 * epsilon, 1 + 2.7 * epsilon, step=0.005)
+    return balance(epsilon).curve((1 - 1.2 * epsilon) / TURN, (1 + 2.7 * epsilon) / TURN, step=0.005)
 
 
 def integrated(epsilon: float, omega: NDArray, direction: str, periods: int = 150) -> NDArray[np.float64]:
@@ -70,12 +74,12 @@ def main() -> None:
         curve, duffing = branch(epsilon), Duffing(epsilon=epsilon)
         sigma = np.linspace(-1.0, 2.5, 61)
         for direction in DIRECTIONS:
-            ours = curve.swept(1 + epsilon * sigma, direction)
+            ours = curve.swept((1 + epsilon * sigma) / TURN, direction)
             theirs = np.squeeze(duffing.amplitude(duffing.nominal, sigma, direction))
             print(f"equation 5.8, eps {epsilon:g}, {direction:24}{apart(theirs, ours)}", flush=True)
     curve, omega = branch(0.1), 1 + 0.1 * np.linspace(-1.0, 2.5, 61)
     for direction in DIRECTIONS:
-        ours, marched = curve.swept(omega, direction), integrated(0.1, omega, direction)
+        ours, marched = curve.swept(omega / TURN, direction), integrated(0.1, omega, direction)
         print(f"time integration, eps 0.1, {direction:17}{apart(marched, ours)}", flush=True)
 
 
