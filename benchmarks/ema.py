@@ -285,7 +285,7 @@ SETS = {
     "F-16, level 1": ("f16", "F16Data_FullMSine_Level1.mat", "channels.toml", (2.5, 14.0), 1, 40),
     "Silverbox, quiet start": ("silverbox", "SNLS80mV.mat", "start.channels.toml", (5.0, 200.0), 1, 40),
     "milling tool": ("milling_tool", "FRF_Point_*.txt", "frf.channels.toml", (600.0, 3200.0), 1, 40),
-    "free-free beam": ("freefree_beam", "frf_9pts.npz", "channels.toml", (90.0, 650.0), 4, 24),
+    "free-free beam": ("freefree_beam", "frf_9pts.npz", "channels.toml", (90.0, 650.0), 2, 24),
 }
 """Folder, files, channels.toml, band in Hz, every how many lines are taken, highest order."""
 

@@ -36,7 +36,7 @@ CHANCE = 1e-4
 IDENTIFIED = 1e-6
 """What modes that were identified miss at least, by which they are known from those that were computed."""
 PARTED = 0.5
-"""Share of the misfit that two modes in the stead of one leave at most: less, and one is as good a name for them."""
+"""Share of the misfit around a mode that two in its stead leave at most, to be taken for two."""
 BETTER = 10.0
 """Bayesian information criterion by which the poles of the second diagram must be better, very strong evidence."""
 SMALLEST = 1e-6
@@ -198,7 +198,7 @@ def _poles(
     found, diagram = best
     while modes is None or len(found[0]) < modes:
         parted = _parted(frf.omega, h, weight, found)
-        if parted is None or parted[2] > PARTED * found[2] or _criterion(h, parted) > _criterion(h, found) - BETTER:
+        if parted is None or _criterion(h, parted) > _criterion(h, found) - BETTER:
             break
         found = parted
     return found[0], found[1], diagram
@@ -216,22 +216,34 @@ def _criterion(h: NDArray, found: _Refined) -> float:
 
 
 def _parted(omega: NDArray, h: NDArray, weight: NDArray, found: _Refined) -> _Refined | None:
-    """Two close modes in the stead of the one around which most is left; None where that is what the weights grant."""
+    """Two close modes in the stead of the one around which most is left; None if they leave more than half of that
+    there, if it is what the weights grant, or if one of the two has its half-power bandwidth between two lines: what
+    is left on a few lines, of a law for example, makes such a needle.
+    """
     frequency, damping, _ = found
     own = 2 * np.pi * frequency
-    mode, zeta = _with_rest(omega, own, damping)
-    left = (h - _residues(omega, h, weight, mode, zeta).T @ _basis(omega, mode, zeta)) * weight
-    power = np.mean(np.abs(left) ** 2, axis=0) / 2
+    power = _left(omega, h, weight, found)
     width = np.maximum(2 * damping * own, 2 * np.median(np.diff(omega)))
-    near = [power[np.abs(omega - w) < d] for w, d in zip(own, width, strict=True)]
-    k = int(np.argmax([p.sum() for p in near]))
-    if near[k].mean() < 1:
+    near = [np.abs(omega - w) < d for w, d in zip(own, width, strict=True)]
+    k = int(np.argmax([power[i].sum() for i in near]))
+    if power[near[k]].mean() < 1:
         return None
     both = frequency[k] * (1 + 0.5 * damping[k] * np.array([-1.0, 1.0]))
     start = np.column_stack(
         [np.append(np.delete(frequency, k), both), np.append(np.delete(damping, k), damping[[k, k]])]
     )
-    return _refined(omega, h, weight, start[np.argsort(start[:, 0])])
+    parted = _refined(omega, h, weight, start[np.argsort(start[:, 0])])
+    pair = np.argsort(np.abs(parted[0] - frequency[k]))[:2]
+    if (4 * np.pi * parted[1] * parted[0])[pair].min() < np.median(np.diff(omega)):
+        return None
+    return parted if _left(omega, h, weight, parted)[near[k]].sum() < PARTED * power[near[k]].sum() else None
+
+
+def _left(omega: NDArray, h: NDArray, weight: NDArray, found: _Refined) -> NDArray[np.float64]:
+    """Weighted power that modes leave on each line (n_f,), a real value's in the mean over the responses."""
+    mode, zeta = _with_rest(omega, 2 * np.pi * found[0], found[1])
+    left = (h - _residues(omega, h, weight, mode, zeta).T @ _basis(omega, mode, zeta)) * weight
+    return np.mean(np.abs(left) ** 2, axis=0) / 2
 
 
 # -------------------------------------------------------------------- residues

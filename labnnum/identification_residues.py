@@ -6,7 +6,7 @@ q is 0 for displacements and 2 for accelerations. What modes outside the band le
 stiffness, s^-2 and 1, first, and as many more terms as the FRFs ask for. Poles are common to all responses and follow
 by Gauss-Newton steps on the maximum likelihood cost; residues and residual terms are linear and are eliminated
 (variable projection). What the sum misses beyond the stated noise is estimated with it, even over the lines of a
-response, and counts as noise: where none is stated, that is plain least squares.
+response, and counts as noise; where none is stated, the fit is plain least squares on responses over their RMS.
 
 References
 ----------
@@ -318,7 +318,10 @@ def _settled(
 
 
 def _missed(problem: _Problem, left: NDArray, n: int, terms: int) -> NDArray[np.float64]:
-    """RMS (n_out,), beside the noise, with which what is left of each response is as large as expected."""
+    """RMS (n_out,), beside the noise, with which what is left of each response is as large as expected.
+
+    Where no noise is stated it is the same of all responses: the one that happens to fit best must not set the poles.
+    """
     out = []
     for e, v in zip(np.abs(left) ** 2, problem.variance, strict=True):
         free = e.size - (2 * n + terms) / 2 - n / len(left)
@@ -328,4 +331,4 @@ def _missed(problem: _Problem, left: NDArray, n: int, terms: int) -> NDArray[np.
 
         floor, top = 1e-24, 4 * float(e.mean()) + 1e-24
         out.append(np.sqrt(floor if over(floor) <= 0 else brentq(over, floor, max(top, e.sum() / max(free, 1e-9)))))
-    return np.array(out)
+    return np.array(out) if problem.variance.any() else np.full(len(out), np.sqrt(np.mean(np.square(out))))
