@@ -29,6 +29,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("info", "sessions.commands.info:info"),
     ("frf", "sessions.commands.frf:frf"),
     ("modes", "sessions.commands.modes:modes"),
+    ("curve", "sessions.commands.curve:curve"),
     ("train", "sessions.commands.train:train"),
     ("update", "sessions.commands.update:update"),
     ("report", "sessions.commands.report:report"),

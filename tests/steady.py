@@ -123,8 +123,11 @@ class Truth:
                 seen.append(done.sol(now[now < stop])[: self.n] if (now < stop).any() else np.zeros((self.n, 0)))
             if done.status != 1:
                 return y, np.hstack(seen) if seen else None
+            still = 1e-12 + 1e-9 * np.abs(y[self.n : 2 * self.n]).max()
             for event, i in zip(done.t_events, self.switched, strict=True):
-                if event.size:
+                name, column, _ = self.laws[i]  # sliders at one place turn together, and only one event is told
+                turns = name == "jenkins" and self.mode[i] * (column @ y[self.n : 2 * self.n]) < still
+                if event.size or (self.mode[i] and turns):
                     y = self._switch(i, stop, y)
             t = stop
         raise AssertionError("the integration does not come to its end")
