@@ -1,10 +1,18 @@
 r"""Nonlinear elements in time simulation: few springs, gaps, dampers and sliders on an otherwise linear structure.
 
-The linear structure keeps its exact march (see `labnnum.simulation`); each element's force enters as one more input
-that is straight between steps and solved for at the end of each step, element by element until none changes
-(Gauss and Seidel). Laws with memory carry a state. Dry friction is solved as what it is, a force within bounds that
-holds the velocity at zero if it can (Moreau 1988), not smoothed; a jump within a step counts where it comes. With
-its parameters at zero an element exerts exactly nothing.
+The linear structure keeps its exact march (see `labnnum.simulation`); each element's force enters as one more input,
+a cubic over each step by its values and rates at both ends, solved for at the end of the step, element by element
+until none changes (Gauss and Seidel). Laws with memory carry a state. Where a stop opens or closes, friction sticks,
+slides or turns, a slider lets go or a loop turns back, the moment is sought within the step: the march goes there in
+parts of the step whose exact transitions are kept, under the same polynomials of the inputs, and on from there
+(`labnnum.nonlinear_march`). Dry friction that sticks is the force that keeps its place, straight over a step. The
+error falls with the fourth power of the step, of quadratic damping with the third. With its parameters at zero an
+element exerts exactly nothing.
+
+Modes that turn by more than `RESOLVED` within a step take no part in the rates of forces. Where they are much of how
+an element's place gives way (`FOLLOWS`, `MOVES`), forces are straight over each step and nothing is sought within it:
+dry friction is then a force within bounds that holds the speed at zero if it can (Moreau 1988), and a jump counts
+where it comes.
 
 References
 ----------
@@ -15,7 +23,7 @@ Y. K. Wen, "Method for random vibration of hysteretic systems", J. Engineering M
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -24,7 +32,8 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from labnnum.errors import EstimationError, ModelError
-from labnnum.simulation import Blocks, blocks, hold_weights
+from labnnum.nonlinear_march import COLUMNS, LEVELS, begin, march
+from labnnum.simulation import Blocks, blocks, hold_moments, hold_weights, joined, samples_to_polynomial
 from labnnum.system import System
 
 LAWS: dict[str, tuple[str, ...]] = {
@@ -46,6 +55,13 @@ LAWS: dict[str, tuple[str, ...]] = {
 """
 
 _CODES = {name: code for code, name in enumerate(LAWS)}
+RESOLVED = 2.0
+"""rad a step, beyond which a mode takes no part in the rates of forces: the step does not resolve it."""
+FOLLOWS = 0.05
+"""Share that such modes may have in how far an element's place gives way at rest; beyond, forces are straight over a
+step."""
+MOVES = 1.0 / 3.0
+"""The same of how far it gives way within one step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +100,7 @@ class NonlinearSimulation:
     elements : sequence of Element
         Columns may be shorter than the system's coordinates: those that exciters add come last.
     step : float
-        s between samples of the inputs; short against what the elements do, for their kinks are not searched for.
+        s between samples of the inputs; an element does not change more than a few times within it.
     order : int
         Samples that the polynomial of the inputs passes through (even).
 
@@ -105,33 +121,45 @@ class NonlinearSimulation:
         self.system, self.elements, self.step, self.order = system, tuple(elements), step, order
         made = blocks(_with_elements(system, self.elements))
         n_in, n_out, k = system.n_inputs, system.n_outputs, len(self.elements)
-        self._require_held(made, n_in, n_out)
+        if made.feed[n_out:, n_in:].any():
+            raise ModelError("a nonlinear element acts on a coordinate without mass; give it a mass")
         m = len(made.A)
         transition, weight = hold_weights(made.A, made.B[:, :, :n_in], step, order)
-        _, straight = hold_weights(made.A, made.B[:, :, n_in:], step, 2)
         self._T = np.ascontiguousarray(transition.reshape(m, 4).T)
         self._W = np.ascontiguousarray(weight.transpose(2, 3, 1, 0))
         out = made.out.reshape(-1, m, 2).transpose(0, 2, 1).reshape(-1, 2 * m)
         self._out, self._feed = np.ascontiguousarray(out[:n_out]), made.feed[:n_out]
-        self._see = np.ascontiguousarray(out[n_out:])
-        before, after = (straight[..., j].transpose(1, 0, 2).reshape(2 * m, k) for j in (0, 1))
-        self._before, self._after = np.ascontiguousarray(before), np.ascontiguousarray(after)
-        self._gain = np.ascontiguousarray(self._see @ after)
+        fast = np.abs(np.linalg.eigvals(made.A)).max(axis=1) * step > RESOLVED
+        load = made.B[:, :, n_in:]
+        stays, grows = _followed(made, out[n_out : n_out + k], load, fast, step)
+        self._coarse = stays > FOLLOWS or grows > MOVES
+        self._see = _seen(out[n_out:], fast, k)
         self._codes = np.array([_CODES[e.law] for e in self.elements], np.int64)
         self._parameters = np.zeros((k, 4))
         for row, e in zip(self._parameters, self.elements, strict=True):
             row[: len(e.parameters)] = e.parameters
+            if e.law == "jenkins" and row[1] <= 0.0:
+                row[0] = 0.0  # what yields at no force exerts none
+        if self._coarse:
+            straight = hold_weights(made.A, load, step, 2)[1]
+            before, after = (straight[..., j].transpose(1, 0, 2).reshape(2 * m, k) for j in (0, 1))
+            self._before, self._after = np.ascontiguousarray(before), np.ascontiguousarray(after)
+            self._rows = np.ascontiguousarray(out[n_out:])
+            self._gain = np.ascontiguousarray(self._rows @ after)
+        else:
+            self._H, self._G = _held(hold_moments(made.A, step, 4)[1], load, self._see)
+            self._into = samples_to_polynomial(order)
+            self._tables = _tables(made, n_in, step, order, self._see)
         self.reset()
-
-    def _require_held(self, made: Blocks, n_in: int, n_out: int) -> None:
-        if made.feed[n_out:, n_in:].any():
-            raise ModelError("a nonlinear element acts on a coordinate without mass; give it a mass")
 
     def reset(self) -> None:
         """Back to rest at time 0, sliders unstrained."""
         self._x = np.zeros(self._out.shape[1])
-        self._force = np.zeros(len(self.elements))
-        self._memory = np.zeros((len(self.elements), 2))
+        if self._coarse:
+            self._force, self._memory = np.zeros(len(self.elements)), np.zeros((len(self.elements), 2))
+        else:
+            self._elements = np.zeros((len(self.elements), COLUMNS))
+            begin(self._codes, self._parameters, self._elements)
         self._ahead = np.zeros((self.system.n_inputs, self.order // 2 - 1))
 
     @property
@@ -152,11 +180,17 @@ class NonlinearSimulation:
         if n <= 0:
             self._ahead = f
             return np.zeros((self.system.n_outputs, 0))
-        states, forces = np.empty((n, self._x.size)), np.empty((n, self._force.size))
-        bad = _march(
-            self._T, self._W, self._x, f, states, forces, self._see, self._before, self._after, self._gain,
-            self._codes, self._parameters, self._memory, self._force,
-        )  # fmt: skip
+        states, forces = np.empty((n, self._x.size)), np.empty((n, len(self.elements)))
+        if self._coarse:
+            bad = _march(
+                self._T, self._W, self._x, f, states, forces, self._rows, self._before, self._after, self._gain,
+                self._codes, self._parameters, self._memory, self._force,
+            )  # fmt: skip
+        else:
+            bad = march(
+                self._T, self._W, self._H, self._G, self._see, self._x, f, states, forces, self._codes,
+                self._parameters, self._elements, self._into, self._tables, self.step,
+            )  # fmt: skip
         if bad:
             raise ModelError(
                 f"the nonlinear forces do not settle within a step of {self.step:.3g} s: raise the oversampling"
@@ -186,6 +220,71 @@ def _with_elements(system: System, elements: Sequence[Element]) -> System:
         acceleration=np.vstack([system.acceleration, none, none]),
         feed=feed,
     )
+
+
+def _seen(rows: NDArray, fast: NDArray, k: int) -> NDArray[np.float64]:
+    """Motion and speed of each element from the states, (2 or 3, k, 2 m).
+
+    Where there are `fast` modes, third the speed without them.
+    """
+    seen = rows.reshape(2, k, rows.shape[1])
+    if fast.any():
+        seen = np.concatenate([seen, np.where(np.tile(fast, 2), 0.0, seen[1:])])
+    return np.ascontiguousarray(seen)
+
+
+def _followed(made: Blocks, rows: NDArray, load: NDArray, fast: NDArray, step: float) -> tuple[float, float]:
+    """Largest shares, over the elements, that `fast` modes have in the motion under a force that stays, and in that of
+    the first step under one that grows from nothing. `rows` (k, 2 m) give motions, `load` (m, 2, k) takes forces.
+    """
+    m, stays, grows = len(made.A), 0.0, 0.0
+    if not fast.any():
+        return stays, grows
+    ramp = hold_weights(made.A, load, step, 2)[1][..., 1]
+    rigid = np.abs(np.linalg.det(made.A)) == 0.0
+    for e, row in enumerate(rows.reshape(-1, 2, m)):
+        first = np.abs(np.einsum("sm,ms->m", row, ramp[..., e]))
+        grows = max(grows, float(first[fast].sum() / max(first.sum(), 1e-300)))
+        if not first[rigid].any():
+            last = np.linalg.solve(np.where(rigid[:, None, None], np.eye(2), made.A), load[:, :, e, None])[..., 0]
+            gives = np.abs(np.einsum("sm,ms->m", row, last))
+            stays = max(stays, float(gives[fast].sum() / max(gives.sum(), 1e-300)))
+    return stays, grows
+
+
+def _held(moments: NDArray, B: NDArray, see: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What forces that are cubics over a step do in it, by values and rates (times the step) at its beginning and end:
+    to the states, (4, k, 2 m), and to what the elements see, (rows, k, k, 4).
+    """
+    hermite = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-3.0, -2.0, 3.0, -1.0], [2.0, 1.0, -2.0, 1.0]])
+    H = np.einsum("msik,ij,mkn->jnsm", moments[:, :, :4], hermite, B).reshape(4, B.shape[2], 2 * len(B))
+    return np.ascontiguousarray(H), np.ascontiguousarray(np.einsum("reb,cob->reoc", see, H))
+
+
+def _parts(A: NDArray, step: float, order: int) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """`hold_moments` of the whole step, then of its parts by the digits of `labnnum.nonlinear_march`."""
+    yield hold_moments(A, step, order)
+    for level in range(1, LEVELS + 1):
+        unit, one = hold_moments(A, step / 16.0**level, order)
+        transition, moments = unit, one
+        yield transition, moments
+        for count in range(1, 15):
+            transition, moments = transition @ unit, joined(unit, moments, one, count)
+            yield transition, moments
+
+
+def _tables(
+    made: Blocks, n_in: int, step: float, order: int, see: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Exact transitions over parts of a step, for inputs that are polynomials from 0 to 1 over each."""
+    T, V, G, H = [], [], [], []
+    for transition, moments in _parts(made.A, step, max(order, 4)):
+        T.append(transition.reshape(-1, 4).T)
+        V.append(np.einsum("msik,mkn->nism", moments[:, :, :order], made.B[:, :, :n_in]))
+        held, seen = _held(moments, made.B[:, :, n_in:], see)
+        H.append(held)
+        G.append(seen)
+    return np.array(T), np.array(V), np.array(G), np.array(H)
 
 
 @njit(cache=True)

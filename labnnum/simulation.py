@@ -12,18 +12,22 @@ C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Tra
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import expm, lu_factor, lu_solve
+from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse.csgraph import connected_components
+from scipy.special import comb
 
 from labnnum.errors import EstimationError, ModelError
 from labnnum.system import System, massless, modal_basis
 
+TERMS = 22
+"""Of the exponential's series, over parts in which no mode turns by more than half a radian."""
 COUPLED = 1e-9
 """Modal damping between two modes below this fraction of their own counts as none."""
 
@@ -194,19 +198,66 @@ def hold_weights(A: NDArray, B: NDArray, step: float, order: int) -> tuple[NDArr
     transition : ndarray, shape (m, 2, 2)
     weight : ndarray, shape (m, 2, n_in, order)
     """
-    m, p = len(A), order
-    augmented = np.zeros((m, 2 + 2 * p, 2 + 2 * p))
-    augmented[:, :2, :2] = A * step
-    augmented[:, 0, 2] = augmented[:, 1, 3] = 1.0
-    chain = np.arange(2, 2 * p)
-    augmented[:, chain, chain + 2] = 1.0
-    exponential = np.asarray(expm(augmented), float)
-    factorial = np.cumprod([1.0, *range(1, p)])
-    moments = exponential[:, :2, 2:].reshape(m, 2, p, 2) * factorial[None, None, :, None]
-    nodes = np.arange(p) - (p // 2 - 1.0)
-    coefficients = np.linalg.inv(np.vander(nodes, p, increasing=True))  # polynomial coefficient, sample
-    weight = step * np.einsum("msik,ij,mkn->msnj", moments, coefficients, B)
-    return exponential[:, :2, :2], weight
+    transition, moments = hold_moments(A, step, order)
+    weight = np.einsum("msik,ij,mkn->msnj", moments, samples_to_polynomial(order), B)
+    return transition, weight
+
+
+def samples_to_polynomial(order: int) -> NDArray[np.float64]:
+    """Coefficients (row) of the polynomial in steps through `order` samples (column), which `hold_weights` holds."""
+    nodes = np.arange(order) - (order // 2 - 1.0)
+    return np.asarray(np.linalg.inv(np.vander(nodes, order, increasing=True)), float)
+
+
+def hold_moments(A: NDArray, step: float, order: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Exact step of x' = A x + w for w = 1, s, s^2 ... up to `order` of them, s from 0 to 1 over the step.
+
+    Parameters
+    ----------
+    A : ndarray, shape (m, 2, 2)
+    step : float
+        s.
+    order : int
+
+    Returns
+    -------
+    transition : ndarray, shape (m, 2, 2)
+    moments : ndarray, shape (m, 2, order, 2)
+        Of each state, by power and by the state that w drives; in s.
+    """
+    rate = np.abs(np.linalg.eigvals(A)).max(axis=1)
+    halvings = np.ceil(np.log2(np.maximum(2.0 * rate * step, 1.0))).astype(int)
+    part = step / 2.0**halvings
+    powers = np.tile(np.eye(2), (len(A), 1, 1))
+    transition, moments = powers.copy(), np.zeros((len(A), 2, order, 2))
+    share = 1.0 / (np.arange(order) + 1.0)
+    for q in range(1, TERMS):
+        moments += powers[:, :, None, :] * share[None, None, :, None]
+        share = share / (np.arange(order) + 1.0 + q)
+        powers = powers @ (A * part[:, None, None])
+        transition += powers / math.factorial(q)
+    moments *= part[:, None, None, None]
+    for done in range(halvings.max(initial=0)):
+        more = halvings > done
+        moments[more] = joined(transition[more], moments[more], moments[more], 1)
+        transition[more] = transition[more] @ transition[more]
+    return transition, moments
+
+
+def joined(transition: NDArray, first: NDArray, one: NDArray, count: int) -> NDArray[np.float64]:
+    """Moments as `hold_moments` has them over count + 1 equal parts, from those over `count` of them and over one.
+
+    Parameters
+    ----------
+    transition : ndarray, shape (m, 2, 2)
+        Over one part.
+    first, one : ndarray, shape (m, 2, order, 2)
+    count : int
+    """
+    j = np.arange(first.shape[2])
+    chosen = comb(j[:, None], j[None, :]) * float(count) ** np.maximum(j[:, None] - j[None, :], 0)
+    last = np.einsum("mst,mtjk->msjk", transition, first) * float(count) ** j[:, None]
+    return (last + np.einsum("jq,msqk->msjk", chosen, one)) / (count + 1.0) ** j[:, None]
 
 
 @njit(cache=True)
