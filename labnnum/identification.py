@@ -26,6 +26,7 @@ from scipy.stats import f as fisher
 
 from labnnum.errors import EstimationError
 from labnnum.frf import MOTION_ORDER, Frf
+from labnnum.identification_residues import fit_residues
 from labnnum.stabilisation import Stabilisation, stabilisation, stable_poles
 from labnnum.structures.modal import ModalStructure, Mode
 
@@ -197,7 +198,7 @@ def _poles(
         raise EstimationError("no pole is stable from order to order: raise the order or narrow the band")
     found, diagram = best
     while modes is None or len(found[0]) < modes:
-        parted = _parted(frf.omega, h, weight, found)
+        parted = _parted(frf, h, weight, found)
         if parted is None or _criterion(h, parted) > _criterion(h, found) - BETTER:
             break
         found = parted
@@ -215,16 +216,17 @@ def _criterion(h: NDArray, found: _Refined) -> float:
     return float(count * np.log(max(found[2], 1e-300) / count) + unknown * np.log(count))
 
 
-def _parted(omega: NDArray, h: NDArray, weight: NDArray, found: _Refined) -> _Refined | None:
-    """Two close modes in the stead of the one around which most is left; None if they leave more than half of that
-    there, if it is what the weights grant, or if one of the two has its half-power bandwidth between two lines: what
-    is left on a few lines, of a law for example, makes such a needle.
+def _parted(frf: Frf, h: NDArray, weight: NDArray, found: _Refined) -> _Refined | None:
+    """Two close modes in the stead of the one around which most is left.
+
+    None if that is what the weights grant; if the two leave more than half of it there, with real or with complex
+    residues: two real modes that cancel one another stand for a complex one; or if one of the two has its half-power
+    bandwidth between two lines: what is left on a few lines, of a law for example, makes such a needle.
     """
     frequency, damping, _ = found
-    own = 2 * np.pi * frequency
-    power = _left(omega, h, weight, found)
-    width = np.maximum(2 * damping * own, 2 * np.median(np.diff(omega)))
-    near = [np.abs(omega - w) < d for w, d in zip(own, width, strict=True)]
+    omega, own = frf.omega, 2 * np.pi * frequency
+    power, step = _left(omega, h, weight, found), np.median(np.diff(frf.omega))
+    near = [np.abs(omega - w) < d for w, d in zip(own, np.maximum(2 * damping * own, 2 * step), strict=True)]
     k = int(np.argmax([power[i].sum() for i in near]))
     if power[near[k]].mean() < 1:
         return None
@@ -234,9 +236,22 @@ def _parted(omega: NDArray, h: NDArray, weight: NDArray, found: _Refined) -> _Re
     )
     parted = _refined(omega, h, weight, start[np.argsort(start[:, 0])])
     pair = np.argsort(np.abs(parted[0] - frequency[k]))[:2]
-    if (4 * np.pi * parted[1] * parted[0])[pair].min() < np.median(np.diff(omega)):
+    if (4 * np.pi * parted[1] * parted[0])[pair].min() < step:
         return None
-    return parted if _left(omega, h, weight, parted)[near[k]].sum() < PARTED * power[near[k]].sum() else None
+    if _left(omega, h, weight, parted)[near[k]].sum() > PARTED * power[near[k]].sum():
+        return None
+    try:
+        one, two = (_left_complex(frf, f)[near[k]].sum() for f in (found, parted))
+    except EstimationError:  # too few lines to tell
+        return None
+    return parted if two < PARTED * one else None
+
+
+def _left_complex(frf: Frf, found: _Refined) -> NDArray[np.float64]:
+    """Power that complex residues leave on each line (n_f,), each response over its own."""
+    value = frf.value[:, 0]
+    free = fit_residues(frf, np.column_stack(found[:2]))
+    return np.sum(np.abs(value - free.fitted) ** 2 / np.mean(np.abs(value) ** 2, axis=1, keepdims=True), axis=0)
 
 
 def _left(omega: NDArray, h: NDArray, weight: NDArray, found: _Refined) -> NDArray[np.float64]:
