@@ -32,7 +32,8 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from labnnum.errors import EstimationError, ModelError
-from labnnum.nonlinear_march import COLUMNS, LEVELS, begin, march
+from labnnum.nonlinear_laws import COLUMNS
+from labnnum.nonlinear_march import LEVELS, begin, march
 from labnnum.simulation import Blocks, blocks, hold_moments, hold_weights, joined, samples_to_polynomial
 from labnnum.system import System
 
@@ -148,6 +149,7 @@ class NonlinearSimulation:
             self._gain = np.ascontiguousarray(self._rows @ after)
         else:
             self._H, self._G = _held(hold_moments(made.A, step, 4)[1], load, self._see)
+            self._U = np.ascontiguousarray(weight.transpose(2, 0, 1, 3))
             self._into = samples_to_polynomial(order)
             self._tables = _tables(made, n_in, step, order, self._see)
         self.reset()
@@ -188,7 +190,7 @@ class NonlinearSimulation:
             )  # fmt: skip
         else:
             bad = march(
-                self._T, self._W, self._H, self._G, self._see, self._x, f, states, forces, self._codes,
+                self._T, self._U, self._H, self._G, self._see, self._x, f, states, forces, self._codes,
                 self._parameters, self._elements, self._into, self._tables, self.step,
             )  # fmt: skip
         if bad:

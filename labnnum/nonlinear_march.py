@@ -1,19 +1,35 @@
 r"""The march of `labnnum.nonlinear`, compiled: whole steps, and steps that are taken in parts where a law changes.
 
-The force of each element is a cubic over a step, by its values and rates at both ends (Hermite). In `el`, one row
-an element, stand: force and rate, motion z, speed v, speed w of the modes that the step resolves, the memory's two
-numbers, the mode and the sign of a hysteretic variable. A mode is what a law does until its next event:
-
-- one-sided-gap: 0 open, 1 closed; clearance: 0 open, 1 or -1 closed on that side, 2 a spring without play
-- coulomb, jenkins: 0 sticking, 1 or -1 sliding that way; bouc-wen: 1 or -1 moving that way
-
-Parts of a step are whole numbers of 2^-20 of it, made up of sixteenths of sixteenths, whose exact transitions are kept.
+The force of each element is a cubic over a step, by its values and rates at both ends (Hermite); `el` holds one row an
+element, as `labnnum.nonlinear_laws` has it. Parts of a step are whole numbers of 2^-20 of it, made up of sixteenths of
+sixteenths, whose exact transitions are kept.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+
+from labnnum.compiled import up_to_date
+from labnnum.nonlinear_laws import (
+    FORCE,
+    HELD,
+    MODE,
+    PLACE,
+    RATE,
+    SIGN,
+    TURNED,
+    V,
+    W,
+    Z,
+    changes,
+    cubic,
+    dips,
+    law,
+    past,
+    put,
+    turn,
+)
 
 FULL = 1 << 20
 """Units of a step."""
@@ -23,58 +39,11 @@ COARSE = 256
 """Units to which an event is located where the force has a kink and no jump: what is left is of its square."""
 MOST = 40
 """Events within one step, beyond which laws change at the ends of its parts only."""
-FORCE, RATE, Z, V, W, PLACE, HELD, MODE, SIGN = range(9)
-COLUMNS = 9
-TURNED = 8
-"""Beside the codes of laws: a hysteretic variable that changes its sign."""
+NEAR = 1e-13
+"""Change of a force, of its size, with which the search for it ends."""
 
 
-@njit(cache=True, inline="always")
-def _wen_slope(h, n, factor, sign):  # pragma: no cover - compiled
-    """dh/dz = 1 - factor |h|^n, and the slope of that to h; beyond zero as it would go on."""
-    size = sign * h
-    if size == 0.0:
-        return 1.0, -factor * sign if n == 1.0 else 0.0
-    power = size if n == 1.0 else (size**n if size > 0.0 else -((-size) ** n))
-    return 1.0 - factor * power, -factor * n * power / h
-
-
-@njit(cache=True)
-def _wen(dz, h, n, factor, sign):  # pragma: no cover - compiled
-    """H after a motion of dz in one sense: Runge-Kutta 4 in z, in parts that are short against where it yields."""
-    parts = min(int(abs(dz) * abs(factor) ** (1.0 / max(n, 0.1)) * max(n, 1.0) / 0.1) + 1, 200)
-    d = dz / parts
-    for _ in range(parts):
-        a, _ = _wen_slope(h, n, factor, sign)
-        b, _ = _wen_slope(h + 0.5 * d * a, n, factor, sign)
-        c, _ = _wen_slope(h + 0.5 * d * b, n, factor, sign)
-        f, _ = _wen_slope(h + d * c, n, factor, sign)
-        h += d * (a + 2.0 * b + 2.0 * c + f) / 6.0
-    return h
-
-
-@njit(cache=True, inline="always")
-def _law(code, z, e, p, el):  # pragma: no cover - compiled
-    """Force against the motion in the element's mode, its slope to z, and the slope of that."""
-    k, mode = p[e, 0], el[e, MODE]
-    if code == 0:
-        return k * z * z * z, 3.0 * k * z * z, 6.0 * k * z
-    if code == 1:
-        return k * z * z, 2.0 * k * z, 2.0 * k
-    if code == 7:
-        sign = el[e, SIGN]
-        factor = p[e, 1] * mode * sign + p[e, 2]
-        h = _wen(z - el[e, PLACE], el[e, HELD], p[e, 3], factor, sign)
-        slope, bent = _wen_slope(h, p[e, 3], factor, sign)
-        return k * h, k * slope, k * bent * slope
-    if code == 6:
-        return k * (z - el[e, PLACE]), k, 0.0
-    if mode == 0.0:
-        return 0.0, 0.0, 0.0
-    return (k * (z - mode * p[e, 1]) if mode < 2.0 else k * z), k, 0.0
-
-
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _newton(code, e, sz, sv, sw, G, ell, p, el, hold):  # pragma: no cover - compiled
     """Force and rate at the end of a step, of a law without jumps; whether they were found."""
     last = G.shape[0] - 1
@@ -86,16 +55,16 @@ def _newton(code, e, sz, sv, sw, G, ell, p, el, hold):  # pragma: no cover - com
         z = sz + zf * f + zd * d
         if code == 5:
             v = sv + vf * f + vd * d
-            turn = 6.0 * (el[e, Z] - z) / ell + 2.0 * el[e, V] + 4.0 * v
+            bends = 6.0 * (el[e, Z] - z) / ell + 2.0 * el[e, V] + 4.0 * v
             size, sense = abs(v), 1.0 if v > 0.0 else -1.0
             c = p[e, 0]
-            r1, r2 = f + c * v * size, d + 2.0 * c * size * turn
+            r1, r2 = f + c * v * size, d + 2.0 * c * size * bends
             a, b = 1.0 + 2.0 * c * size * vf, 2.0 * c * size * vd
-            to_f = 2.0 * c * (size * (4.0 * vf - 6.0 * zf / ell) + sense * turn * vf)
-            to_d = 1.0 + 2.0 * c * (size * (4.0 * vd - 6.0 * zd / ell) + sense * turn * vd)
+            to_f = 2.0 * c * (size * (4.0 * vf - 6.0 * zf / ell) + sense * bends * vf)
+            to_d = 1.0 + 2.0 * c * (size * (4.0 * vd - 6.0 * zd / ell) + sense * bends * vd)
         else:
             w = sw + wf * f + wd * d
-            value, slope, bent = _law(code, z, e, p, el)
+            value, slope, bent = law(code, z, e, p, el)
             r1, r2 = f + value, d + ell * slope * w
             a, b = 1.0 + slope * zf, slope * zd
             to_f = ell * (slope * wf + bent * w * zf)
@@ -106,14 +75,14 @@ def _newton(code, e, sz, sv, sw, G, ell, p, el, hold):  # pragma: no cover - com
         df, dd = (b * r2 - to_d * r1) / det, (to_f * r1 - a * r2) / det
         f += df
         d += dd
-        if linear or abs(df) + abs(dd) <= 1e-13 * (abs(f) + abs(d)):
+        if linear or abs(df) + abs(dd) <= NEAR * (abs(f) + abs(d)):
             hold[e, 2], hold[e, 3] = f, d
             return True
     hold[e, 2], hold[e, 3] = f, d
     return abs(df) + abs(dd) <= 1e-9 * (abs(f) + abs(d))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _stick(e, sz, sv, G, place, hold):  # pragma: no cover - compiled
     """The force, straight over the step, that ends it at `place` and at rest."""
     za = G[0, e, e, 0] - G[0, e, e, 1] - G[0, e, e, 3]
@@ -128,7 +97,7 @@ def _stick(e, sz, sv, G, place, hold):  # pragma: no cover - compiled
     hold[e, 0], hold[e, 1], hold[e, 2], hold[e, 3] = a, b - a, b, b - a
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _trial(seen, G, ell, codes, p, el, hold):  # pragma: no cover - compiled
     """Forces over a step in which no law changes its mode: `hold` (k, 4) of values and rates, times the step."""
     k, last = codes.size, G.shape[0] - 1
@@ -171,7 +140,7 @@ def _trial(seen, G, ell, codes, p, el, hold):  # pragma: no cover - compiled
     return change <= 1e-8 * largest
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _accept(x, g, seen, G, H, ell, codes, p, el, hold):  # pragma: no cover - compiled
     """Take the step that was tried."""
     k, last = codes.size, G.shape[0] - 1
@@ -196,75 +165,32 @@ def _accept(x, g, seen, G, H, ell, codes, p, el, hold):  # pragma: no cover - co
                     x[b] += H[c, e, b] * value
 
 
-@njit(cache=True, inline="always")
-def _cubic(a, da, b, db, at):  # pragma: no cover - compiled
-    """The cubic with these values and rates at 0 and 1."""
-    s = at * at
-    t = s * at
-    return a * (1.0 - 3.0 * s + 2.0 * t) + da * (at - 2.0 * s + t) + b * (3.0 * s - 2.0 * t) + db * (t - s)
-
-
-@njit(cache=True, inline="always")
-def _past(code, e, z, v, f, p, el):  # pragma: no cover - compiled
-    """How far element e is beyond where its mode ends; negative within it. `f` is its force."""
-    mode, level = el[e, MODE], p[e, 1]
-    if code == TURNED:
-        return el[e, SIGN] * f * np.sign(p[e, 0])
-    if code == 2:
-        return z - level if mode == 0.0 else level - z
-    if code == 3:
-        if mode == 0.0:
-            return abs(z) - level
-        return level - mode * z
-    if mode != 0.0:
-        return -mode * v
-    if code == 4:
-        return abs(f) - p[e, 0]
-    return abs(p[e, 0] * (z - el[e, PLACE])) - level
-
-
-@njit(cache=True, inline="always")
-def _changes(code, e, p, el):  # pragma: no cover - compiled
-    """Whether element e has events at all."""
-    if p[e, 0] == 0.0 or code < 2 or code == 5 or (code == 3 and el[e, MODE] == 2.0):
-        return False
-    return code != 6 or p[e, 1] > 0.0
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _along(code, e, at, ell, z1, v1, p, el, hold):  # pragma: no cover - compiled
     """`_past` within the step that was tried, from its ends."""
     z0, d0, d1 = el[e, Z], el[e, V] * ell, v1 * ell
-    z = _cubic(z0, d0, z1, d1, at)
+    z = cubic(z0, d0, z1, d1, at)
     v = (
         6.0 * (at - at * at) * (z1 - z0) + (1.0 - 4.0 * at + 3.0 * at * at) * d0 + (3.0 * at * at - 2.0 * at) * d1
     ) / ell
-    f = _cubic(hold[e, 0], hold[e, 1], hold[e, 2], hold[e, 3], at)
-    return _past(code, e, z, v, f, p, el)
+    f = cubic(hold[e, 0], hold[e, 1], hold[e, 2], hold[e, 3], at)
+    return past(code, e, z, v, f, p, el)
 
 
-@njit(cache=True, inline="always")
-def _dips(v0, v1, z0, z1, ell, way):  # pragma: no cover - compiled
-    """Whether a speed that is `way` at both ends of a step turns within it."""
-    a, b, middle = way * v0, way * v1, way * (1.5 * (z1 - z0) / ell - 0.25 * (v0 + v1))
-    bend, slope = 2.0 * (a - 2.0 * middle + b), 4.0 * middle - 3.0 * a - b
-    return bend > 0.0 and -2.0 * bend < slope < 0.0 and slope * slope > 4.0 * a * bend
-
-
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _within(code, e, z, v, ell, p, el, hold):  # pragma: no cover - compiled
     """Whether an element that ends a step within its mode leaves it on the way."""
     mode, before = el[e, MODE], el[e, V]
     if code == TURNED:
         return False
     if code == 4 and mode == 0.0:
-        return _past(code, e, z, v, hold[e, 0], p, el) > 0.0
+        return past(code, e, z, v, hold[e, 0], p, el) > 0.0
     if code == 4 or code == 7 or (code == 6 and mode != 0.0):
-        return _dips(before, v, el[e, Z], z, ell, mode)
+        return dips(before, v, el[e, Z], z, ell, mode)
     return before * v < 0.0 and _along(code, e, before / (before - v), ell, z, v, p, el, hold) > 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _root(code, e, z, v, ell, p, el, hold):  # pragma: no cover - compiled
     """Where within the step element e first leaves its mode, 0 to 1."""
     low = high = 0.0
@@ -284,7 +210,7 @@ def _root(code, e, z, v, ell, p, el, hold):  # pragma: no cover - compiled
     return high
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _event(seen, G, ell, whole, codes, p, el, hold):  # pragma: no cover - compiled
     """The first event within the step that was tried: its kind, a code, the element or -1, and where, 0 to 1.
 
@@ -293,7 +219,7 @@ def _event(seen, G, ell, whole, codes, p, el, hold):  # pragma: no cover - compi
     kind, first, where = 0, -1, 2.0
     for e in range(codes.size):
         code = codes[e]
-        if not _changes(code, e, p, el) or (code == 4 and el[e, MODE] == 0.0 and not whole):
+        if not changes(code, e, p, el) or (code == 4 and el[e, MODE] == 0.0 and not whole):
             continue
         z, v = seen[0, e], seen[1, e]
         for o in range(codes.size):
@@ -302,14 +228,14 @@ def _event(seen, G, ell, whole, codes, p, el, hold):  # pragma: no cover - compi
                 v += G[1, e, o, c] * hold[o, c]
         for one in range(2 if code == 7 else 1):
             now = TURNED if one == 1 else code
-            if _past(now, e, z, v, hold[e, 2], p, el) > 0.0 or _within(now, e, z, v, ell, p, el, hold):
+            if past(now, e, z, v, hold[e, 2], p, el) > 0.0 or _within(now, e, z, v, ell, p, el, hold):
                 root = _root(now, e, z, v, ell, p, el, hold)
                 if root < where:
                     kind, first, where = now, e, root
     return kind, first, where
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _sticks(codes, p, el):  # pragma: no cover - compiled
     """Whether any dry friction holds."""
     found = False
@@ -318,7 +244,7 @@ def _sticks(codes, p, el):  # pragma: no cover - compiled
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _slip(share, codes, p, el, hold):  # pragma: no cover - compiled
     """The first dry friction that lets go within a share of a whole step that was tried: element or -1, where in it."""
     first, where = -1, share
@@ -335,51 +261,11 @@ def _slip(share, codes, p, el, hold):  # pragma: no cover - compiled
     return first, where / share
 
 
-@njit(cache=True)
-def _set(code, e, p, el):  # pragma: no cover - compiled
-    """Force and rate of element e in its mode, at the motion where it is."""
-    mode = el[e, MODE]
-    if code == 4 or (code == 6 and mode != 0.0):
-        el[e, FORCE], el[e, RATE] = -mode * p[e, code // 6], 0.0
-        return
-    if code == 5:
-        el[e, FORCE] = -p[e, 0] * el[e, V] * abs(el[e, V])
-        return
-    value, slope, _ = _law(code, el[e, Z], e, p, el)
-    el[e, FORCE], el[e, RATE] = -value, -slope * el[e, W]
-
-
-@njit(cache=True)
-def _change(code, e, push, p, el):  # pragma: no cover - compiled
-    """The next mode of element e; `push` is the force that would hold dry friction."""
-    mode = el[e, MODE]
-    if code == TURNED:
-        el[e, SIGN] = -el[e, SIGN]
-        return
-    if code == 2:
-        el[e, MODE] = 1.0 - mode
-    elif code == 3:
-        el[e, MODE] = 0.0 if mode != 0.0 else np.sign(el[e, Z])
-    elif code == 4:
-        if abs(push) <= p[e, 0]:
-            el[e, MODE], el[e, PLACE] = 0.0, el[e, Z]
-            return
-        el[e, MODE] = -np.sign(push)
-    elif code == 6:
-        if mode == 0.0:
-            el[e, MODE] = np.sign(p[e, 0] * (el[e, Z] - el[e, PLACE]))
-        else:
-            el[e, MODE], el[e, PLACE] = 0.0, el[e, Z] - mode * p[e, 1] / p[e, 0]
-    else:
-        el[e, MODE] = -mode
-    _set(code, e, p, el)
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _part(entry, now, length, x, tables, coefficients, see, codes, p, el, g, seen, hold, shifted, step):
     # pragma: no cover - compiled
     """Try a part of a step from `now` on, both in units: its end without the elements in g and seen, forces in hold."""
-    T, V, G, _ = tables
+    T, moved, G, _ = tables
     n_in, order = coefficients.shape
     m = T.shape[2]
     t = T[entry]
@@ -398,13 +284,13 @@ def _part(entry, now, length, x, tables, coefficients, see, codes, p, el, g, see
             value = shifted[j] * power
             power *= scale
             for b in range(m):
-                g[b] += V[entry, i, j, 0, b] * value
-                g[m + b] += V[entry, i, j, 1, b] * value
+                g[b] += moved[entry, i, j, 0, b] * value
+                g[m + b] += moved[entry, i, j, 1, b] * value
     _look(see, g, seen)
     return _trial(seen, G[entry], scale * step, codes, p, el, hold)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _look(see, g, seen):  # pragma: no cover - compiled
     """What the elements see of the state g."""
     rows, k, size = see.shape
@@ -416,7 +302,7 @@ def _look(see, g, seen):  # pragma: no cover - compiled
             seen[r, e] = total
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _entry(length):  # pragma: no cover - compiled
     """The table's row of a part of `length` units, one digit of sixteenths of sixteenths; 0 for the whole step."""
     if length >= FULL:
@@ -428,7 +314,7 @@ def _entry(length):  # pragma: no cover - compiled
     return 1 + 15 * (level - 1) + length // unit - 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _advance(q, now, x, tables, coefficients, see, codes, p, el, g, seen, hold, shifted, step):
     # pragma: no cover - compiled
     """March q units on, in as many parts as q has digits; whether all forces settled."""
@@ -446,14 +332,14 @@ def _advance(q, now, x, tables, coefficients, see, codes, p, el, g, seen, hold, 
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _locate(code, e, where, length, now, x, tables, coefficients, see, codes, p, el, g, seen, hold, shifted, step):
     # pragma: no cover - compiled
     """March to where element e changes, within `length` units from `now`; units that were gone, -1 for a failure."""
     stuck = code == 4 and el[e, MODE] == 0.0
     unit = 1 if code == 4 else min(COARSE, length)
     a, b, last = 0, length, -1
-    low, high = _past(code, e, el[e, Z], el[e, V], el[e, FORCE], p, el), np.inf
+    low, high = past(code, e, el[e, Z], el[e, V], el[e, FORCE], p, el), np.inf
     q = min(max(int(np.ceil(where * length / unit)) * unit, 0), length)
     old_x, old = x.copy(), el.copy()
     for _ in range(16):
@@ -464,7 +350,7 @@ def _locate(code, e, where, length, now, x, tables, coefficients, see, codes, p,
         last = q
         if stuck or q == 0:
             break
-        beyond = _past(code, e, el[e, Z], el[e, V], el[e, FORCE], p, el)
+        beyond = past(code, e, el[e, Z], el[e, V], el[e, FORCE], p, el)
         slope = (beyond - low) / (q - a) if q > a else (high - beyond) / (b - q) if high < np.inf else 0.0
         if beyond >= 0.0:
             b, high = q, beyond
@@ -486,7 +372,7 @@ def _locate(code, e, where, length, now, x, tables, coefficients, see, codes, p,
     return last
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _through(kind, e, where, x, f, into, tables, see, codes, p, el, g, seen, hold, step):
     # pragma: no cover - compiled
     """A step in parts, from event to event; f (n_in, order) are the samples around it. Whether all forces settled."""
@@ -524,7 +410,7 @@ def _through(kind, e, where, x, f, into, tables, see, codes, p, el, g, seen, hol
                 if not _part(0, now, FULL, x, tables, coefficients, see, codes, p, el, g, seen, hold, shifted, step):
                     return False
                 el[e, MODE], needed = slid, hold[e, 0]
-            _change(kind, e, needed, p, el)
+            turn(kind, e, needed, p, el)
         if now >= FULL:
             return True
         rest, unit = FULL - now, 1
@@ -550,7 +436,8 @@ def _through(kind, e, where, x, f, into, tables, see, codes, p, el, g, seen, hol
             now += length
 
 
-@njit(cache=True)
+@up_to_date
+@njit(cache=True, error_model="numpy")
 def begin(codes, p, el):  # pragma: no cover - compiled
     """Elements at rest, sliders unstrained."""
     el[:, :] = 0.0
@@ -562,33 +449,109 @@ def begin(codes, p, el):  # pragma: no cover - compiled
         elif codes[e] == 7:
             el[e, MODE] = el[e, SIGN] = 1.0
         if p[e, 0] != 0.0 and codes[e] != 4:
-            _set(codes[e], e, p, el)
+            put(codes[e], e, p, el)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always", error_model="numpy")
+def _alone(code, mode, z0, v0, fa, da, sz, sv, sw, gz, gv, gw, step, k, level, place):  # pragma: no cover - compiled
+    """A step of one element whose force is a power or straight in its mode, by numbers alone.
+
+    Whether it ends, and surely stays, within the mode; forces and rates times the step at its beginning and end, motion
+    and speed at its end. From forces to what is seen gz, gv and gw (4,).
+    """
+    if code == 4 and mode == 0.0:
+        za, zb, va, vb = gz[0] - gz[1] - gz[3], gz[2] + gz[1] + gz[3], gv[0] - gv[1] - gv[3], gv[2] + gv[1] + gv[3]
+        det = za * vb - zb * va
+        if det == 0.0:
+            return False, fa, da, fa, da, z0, v0
+        a, b = ((place - sz) * vb + sv * zb) / det, (-sv * za - (place - sz) * va) / det
+        z, v = sz + za * a + zb * b, sv + va * a + vb * b
+        return abs(a) < k and abs(b) < k, a, b - a, b, b - a, z, v
+    sz += gz[0] * fa + gz[1] * da
+    sv += gv[0] * fa + gv[1] * da
+    f, d = 0.0, 0.0
+    if code == 0:
+        sw += gw[0] * fa + gw[1] * da
+        f, d, close = fa + da, da, False
+        for _ in range(20):
+            z, w = sz + gz[2] * f + gz[3] * d, sw + gw[2] * f + gw[3] * d
+            slope, bent = 3.0 * k * z * z, 6.0 * k * z
+            r1, r2 = f + k * z * z * z, d + step * slope * w
+            a, b = 1.0 + slope * gz[2], slope * gz[3]
+            to_f = step * (slope * gw[2] + bent * w * gz[2])
+            to_d = 1.0 + step * (slope * gw[3] + bent * w * gz[3])
+            det = a * to_d - b * to_f
+            df, dd = (b * r2 - to_d * r1) / det, (to_f * r1 - a * r2) / det
+            f += df
+            d += dd
+            close = abs(df) + abs(dd) <= NEAR * (abs(f) + abs(d))
+            if close:
+                break
+        return close, fa, da, f, d, sz + gz[2] * f + gz[3] * d, sv + gv[2] * f + gv[3] * d
+    if mode != 0.0 and (code == 4 or code == 6):
+        f = fa
+    elif code == 6 or mode != 0.0:
+        sw += gw[0] * fa + gw[1] * da
+        at = place if code == 6 else (mode * level if mode < 2.0 else 0.0)
+        a, b, to_f, to_d = 1.0 + k * gz[2], k * gz[3], step * k * gw[2], 1.0 + step * k * gw[3]
+        r1, r2, det = -k * (sz - at), -step * k * sw, a * to_d - b * to_f
+        f, d = (to_d * r1 - b * r2) / det, (a * r2 - to_f * r1) / det
+    z, v = sz + gz[2] * f + gz[3] * d, sv + gv[2] * f + gv[3] * d
+    if code == 2:
+        stays = z < level if mode == 0.0 else z > level
+    elif code == 3:
+        stays = abs(z) < level if mode == 0.0 else mode == 2.0 or mode * z > level
+    elif mode == 0.0:
+        stays = code == 6 and abs(k * (z - place)) < level
+    else:
+        stays = mode * v > 0.0
+    same = v0 * v > 0.0 and (mode == 0.0 or code < 4 or mode * (1.5 * (z - z0) - 0.25 * step * (v0 + v)) > 0.0)
+    return stays and (same or mode == 2.0), fa, da, f, d, z, v
+
+
+@up_to_date
+@njit(cache=True, error_model="numpy")
 def march(
-    T, W, H, G, see, x, f, states, forces, codes, p, el, into, tables, step
+    T, U, H, G, see, x, f, states, forces, codes, p, el, into, tables, step
 ):  # fmt: skip # pragma: no cover - compiled
     """Advance; x (2 m,) holds first states, then second ones. Returns the first step that did not settle, or 0."""
-    n_in, order, _, m = W.shape
+    n_in, m, _, order = U.shape
     k = codes.size
     g, seen, hold = np.empty(2 * m), np.empty((see.shape[0], k)), np.empty((k, 4))
+    last = see.shape[0] - 1
+    alone = k == 1 and p[0, 0] != 0.0 and codes[0] != 1 and codes[0] != 5 and codes[0] != 7
     for n in range(states.shape[0]):
         for b in range(2 * m):
             states[n, b] = x[b]
         for e in range(k):
             forces[n, e] = el[e, FORCE]
         for b in range(m):
-            g[b] = T[0, b] * x[b] + T[1, b] * x[m + b]
-            g[m + b] = T[2, b] * x[b] + T[3, b] * x[m + b]
-        for i in range(n_in):
-            for j in range(order):
-                value = f[i, n + j]
-                if value != 0.0:
-                    for b in range(m):
-                        g[b] += W[i, j, 0, b] * value
-                        g[m + b] += W[i, j, 1, b] * value
+            one = T[0, b] * x[b] + T[1, b] * x[m + b]
+            two = T[2, b] * x[b] + T[3, b] * x[m + b]
+            for i in range(n_in):
+                for j in range(order):
+                    one += U[i, b, 0, j] * f[i, n + j]
+                    two += U[i, b, 1, j] * f[i, n + j]
+            g[b] = one
+            g[m + b] = two
         _look(see, g, seen)
+        if alone:
+            code, mode, fa, da = codes[0], el[0, MODE], el[0, FORCE], el[0, RATE] * step
+            quiet, fa, da, force, rate, z, v = _alone(
+                code, mode, el[0, Z], el[0, V], fa, da, seen[0, 0], seen[1, 0], seen[last, 0], G[0, 0, 0],
+                G[1, 0, 0], G[last, 0, 0], step, p[0, 0], p[0, 1], el[0, PLACE],
+            )  # fmt: skip
+            if quiet:
+                el[0, W] = seen[last, 0]
+                if fa != 0.0 or force != 0.0:
+                    w = G[last, 0, 0]
+                    el[0, W] += w[0] * fa + w[1] * da + w[2] * force + w[3] * rate
+                    for b in range(2 * m):
+                        g[b] += H[0, 0, b] * fa + H[1, 0, b] * da + H[2, 0, b] * force + H[3, 0, b] * rate
+                el[0, FORCE], el[0, RATE], el[0, Z], el[0, V] = force, rate / step, z, v
+                for b in range(2 * m):
+                    x[b] = g[b]
+                continue
         if not _trial(seen, G, step, codes, p, el, hold):
             return n + 1
         kind, e, where = _event(seen, G, step, True, codes, p, el, hold)
