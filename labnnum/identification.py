@@ -38,6 +38,10 @@ IDENTIFIED = 1e-6
 """What modes that were identified miss at least, by which they are known from those that were computed."""
 PARTED = 0.5
 """Share of the misfit around a mode that two in its stead leave at most, to be taken for two."""
+NOISE_LEFT = 2.0
+"""Power over that of the stated noise which one mode leaves around it and two in its stead do not."""
+APART = 0.25
+"""Half-power bandwidths by which two modes are apart at least."""
 BETTER = 10.0
 """Bayesian information criterion by which the poles of the second diagram must be better, very strong evidence."""
 SMALLEST = 1e-6
@@ -220,8 +224,9 @@ def _parted(frf: Frf, h: NDArray, weight: NDArray, found: _Refined) -> _Refined 
     """Two close modes in the stead of the one around which most is left.
 
     None if that is what the weights grant; if the two leave more than half of it there, with real or with complex
-    residues: two real modes that cancel one another stand for a complex one; or if one of the two has its half-power
-    bandwidth between two lines: what is left on a few lines, of a law for example, makes such a needle.
+    residues: two real modes that cancel one another stand for a complex one; if the one leaves no more than the noise
+    where that is stated, or the two leave more: a law leaves something too; if one of the two has its half-power bandwidth between two lines; or if
+    they are nearer than a quarter of it, as one mode is that moved from record to record.
     """
     frequency, damping, _ = found
     omega, own = frf.omega, 2 * np.pi * frequency
@@ -236,22 +241,26 @@ def _parted(frf: Frf, h: NDArray, weight: NDArray, found: _Refined) -> _Refined 
     )
     parted = _refined(omega, h, weight, start[np.argsort(start[:, 0])])
     pair = np.argsort(np.abs(parted[0] - frequency[k]))[:2]
-    if (4 * np.pi * parted[1] * parted[0])[pair].min() < step:
+    bandwidth = 4 * np.pi * (parted[1] * parted[0])[pair]
+    if bandwidth.min() < step or 2 * np.pi * np.ptp(parted[0][pair]) < APART * bandwidth.mean():
         return None
     if _left(omega, h, weight, parted)[near[k]].sum() > PARTED * power[near[k]].sum():
         return None
     try:
-        one, two = (_left_complex(frf, f)[near[k]].sum() for f in (found, parted))
+        one, two = (_left_complex(frf, f)[:, near[k]] for f in (found, parted))
     except EstimationError:  # too few lines to tell
         return None
-    return parted if two < PARTED * one else None
+    if frf.variance is not None:
+        noise = np.maximum(frf.variance[:, 0, near[k]], 1e-300)
+        if not np.mean(two / noise) < NOISE_LEFT < np.mean(one / noise):
+            return None
+    size = np.mean(np.abs(frf.value[:, 0]) ** 2, axis=1, keepdims=True)
+    return parted if np.sum(two / size) < PARTED * np.sum(one / size) else None
 
 
 def _left_complex(frf: Frf, found: _Refined) -> NDArray[np.float64]:
-    """Power that complex residues leave on each line (n_f,), each response over its own."""
-    value = frf.value[:, 0]
-    free = fit_residues(frf, np.column_stack(found[:2]))
-    return np.sum(np.abs(value - free.fitted) ** 2 / np.mean(np.abs(value) ** 2, axis=1, keepdims=True), axis=0)
+    """Power that complex residues leave of each response on each line, (n_out, n_f)."""
+    return np.abs(frf.value[:, 0] - fit_residues(frf, np.column_stack(found[:2])).fitted) ** 2
 
 
 def _left(omega: NDArray, h: NDArray, weight: NDArray, found: _Refined) -> NDArray[np.float64]:
