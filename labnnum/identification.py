@@ -27,7 +27,7 @@ from scipy.stats import f as fisher
 from labnnum.errors import EstimationError
 from labnnum.frf import MOTION_ORDER, Frf
 from labnnum.identification_residues import fit_residues
-from labnnum.stabilisation import Stabilisation, stabilisation, stable_poles
+from labnnum.stabilisation import APART, Stabilisation, stabilisation, stable_poles
 from labnnum.structures.modal import ModalStructure, Mode
 
 HIDES = 0.01
@@ -40,8 +40,6 @@ PARTED = 0.5
 """Share of the misfit around a mode that two in its stead leave at most, to be taken for two."""
 NOISE_LEFT = 2.0
 """Power over that of the stated noise which one mode leaves around it and two in its stead do not."""
-APART = 0.25
-"""Half-power bandwidths by which two modes are apart at least."""
 BETTER = 10.0
 """Bayesian information criterion by which the poles of the second diagram must be better, very strong evidence."""
 SMALLEST = 1e-6
@@ -225,8 +223,9 @@ def _parted(frf: Frf, h: NDArray, weight: NDArray, found: _Refined) -> _Refined 
 
     None if that is what the weights grant; if the two leave more than half of it there, with real or with complex
     residues: two real modes that cancel one another stand for a complex one; if the one leaves no more than the noise
-    where that is stated, or the two leave more: a law leaves something too; if one of the two has its half-power bandwidth between two lines; or if
-    they are nearer than a quarter of it, as one mode is that moved from record to record.
+    where that is stated, or the two leave more: a law leaves something too; if one of the two has its half-power
+    bandwidth between two lines; or if they are nearer than a quarter of it, as one mode is that moved from record to
+    record.
     """
     frequency, damping, _ = found
     omega, own = frf.omega, 2 * np.pi * frequency

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 FREQUENCY_STAYS, DAMPING_STAYS = 0.01, 0.2
 """Relative change from one order to the next up to which a frequency and a damping ratio count as stable."""
+APART = 0.25
+"""Half-power bandwidths by which two modes are apart at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +140,8 @@ class _Normal:
 def stable_poles(diagram: Stabilisation, modes: int | None = None) -> NDArray[np.float64]:
     """(n, 2) frequency and damping ratio of the poles that repeat, the medians of their columns of the diagram.
 
-    A column in which most orders have two poles or more holds as many modes: close ones, in order of frequency.
+    A column in which most orders have two poles or more holds as many modes: close ones, in order of frequency, if they
+    are as far apart as modes can be told from one that moved between records.
     """
     pick = np.flatnonzero(diagram.stable)
     if not pick.size:
@@ -163,4 +166,6 @@ def _columns(diagram: Stabilisation, group: NDArray, least: float) -> list[NDArr
     alike = [h for h in held if h.size == count]
     if count < 2 or len(alike) < least:
         return [group]
-    return list(np.array(alike).T)
+    columns = np.array(alike).T
+    f, z = (np.median(a[columns], axis=1) for a in (diagram.frequency, diagram.damping_ratio))
+    return list(columns) if (np.diff(f) > APART * (2 * z * f).mean()).all() else [group]

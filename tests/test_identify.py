@@ -154,6 +154,17 @@ def test_two_modes_within_half_a_bandwidth_are_told_apart(noise, seed):
     assert identify(frf, 40, modes=3).frequency.size == 3
 
 
+def test_a_mode_that_moved_from_record_to_record_is_one():
+    """Rows of a roving hammer, whose structure was a tenth of a bandwidth higher at one of them."""
+    frf, _ = two_close(0.0, 1e-3, 0)
+    value = frf.value.copy()
+    moved = np.interp(frf.frequency / (1 + 0.2 * 0.006), frf.frequency, np.arange(frf.frequency.size))
+    value[1, 0] = np.interp(moved, np.arange(moved.size), frf.value[1, 0].real) + 1j * np.interp(
+        moved, np.arange(moved.size), frf.value[1, 0].imag
+    )
+    assert identify(replace(frf, value=value), 40).frequency.size == 3
+
+
 def test_lscf_of_a_low_order_comes_near_the_poles():
     value = receptance_of(measured())
     poles = np.array(lscf(2 * np.pi * LINES, value, 12))
